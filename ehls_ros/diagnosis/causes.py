@@ -7,7 +7,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import mostly_in
+from ehls_ros.diagnosis.acceptance import beyond_form, differences, mostly_in
 from ehls_ros.diagnosis.empirical import drifts
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import RESAMPLED, Assessment, probabilities
@@ -57,7 +57,10 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         others = _other_effects(best, place, scale)
         compared = [best, *others, place.without]
         main = mostly_in(best, place.without)
-        alone = probabilities([j.per_block(scale) for j in compared], [len(j.fit.values) for j in compared], seed)
+        # A gain over a hypothesis that differs by no more than the form of the model tells nothing.
+        told = [best if _within_form(evidence, best, j, gain, scale) else j for j in others]
+        gains = [j.per_block(scale) for j in (best, *told, place.without)]
+        alone = probabilities(gains, [len(j.fit.values) for j in compared], seed)
         probability = float(alone[0])
         if stages.count(stages[index]) > 1:
             probability *= rules.BOTH_RIGHT
@@ -102,13 +105,22 @@ def _indistinguishable(
     out = dict[str, tuple[str, ...]]()
     for j in others:
         behind = best.score(scale) - j.score(scale)
-        equal = behind < max(rules.EQUAL, rules.EQUAL_FRACTION * gain) and len(j.fit.values) <= len(best.fit.values)
+        equal = behind < max(rules.EQUAL, rules.EQUAL_FRACTION * gain) or _within_form(evidence, best, j, gain, scale)
+        equal = equal and len(j.fit.values) <= len(best.fit.values)
         if not equal and behind >= (1.0 - rules.CLOSED) * gain:
             continue
         signals = deciding(evidence, best.fit, j.fit)
         if equal or signals:
             out[j.hypothesis[-1].name] = signals
     return out
+
+
+def _within_form(
+    evidence: Evidence, best: Assessment, rival: Assessment, gain: float, scale: Mapping[Channel, float]
+) -> bool:
+    """Return whether a rival that explains most of a cause's gain differs by no more than errors of the model's form."""
+    worthwhile = rival.score(scale) >= best.score(scale) - (1.0 - rules.WORTHWHILE) * gain
+    return worthwhile and not beyond_form(evidence, differences(evidence, best, rival))
 
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:

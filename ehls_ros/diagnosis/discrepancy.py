@@ -128,6 +128,7 @@ class Learnt(NamedTuple):
         sizes: standard deviation of the functions: of each signal, of each times the input, and of all, shape (functions,).
         left: standard deviation of the unexplained rest, on held-out stretches.
         together: number of windows with correlated errors.
+        error: relative standard deviation of the error that each coefficient may have, shape (terms,).
         fitted: mask of the fitted coefficients; an error of the others is possible but not estimated, shape (terms,).
         spread: relative standard deviation of each coefficient from recording to recording, shape (terms,).
         changing: the same of each function, relative to its size, shape (functions,).
@@ -141,6 +142,7 @@ class Learnt(NamedTuple):
     sizes: Array
     left: float
     together: float
+    error: Array
     fitted: Mask
     spread: Array
     changing: Array
@@ -160,10 +162,10 @@ class Learnt(NamedTuple):
         terms = np.vstack([self.windows.terms, terms])
         features = _features(warped, np.concatenate([self.windows.factor, factor]), terms, known)
         functions, own = features.sized(self.sizes)
-        columns = np.hstack([terms * rules.LEFT_ERROR, functions])
+        columns = np.hstack([terms * self.error, functions])
         variance = self.variance(self.windows, own[:known])
         mean, inverse = _posterior(columns[:known], self.windows.residual, variance, self.fitted)
-        changing = np.concatenate([self.spread / rules.LEFT_ERROR, self.changing[features.group]])
+        changing = np.concatenate([self.spread / self.error, self.changing[features.group]])
         covariance = inverse + np.diag(changing**2)
         here = columns[known:]
         free = here.copy()
@@ -195,13 +197,14 @@ class Learnt(NamedTuple):
         return np.arcsinh((signals - self.middle) / self.scale)
 
 
-def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) -> Learnt:
+def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fitted: Mask) -> Learnt:
     """Learn the discrepancy of a model on healthy recordings.
 
     Args:
         recordings: one channel of each.
         default_spread: relative standard deviation of each coefficient from recording to recording that is always allowed for,
             shape (terms,).
+        error: relative standard deviation of the error that each coefficient may have, shape (terms,).
         fitted: mask of the coefficients to fit, shape (terms,).
     """
     data = joined(recordings)
@@ -217,7 +220,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
     count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
-        data, recording, middle, scale, np.full(count, size), size, OVERLAP, fitted,
+        data, recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
         default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
     features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
@@ -225,7 +228,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, fitted: Mask) ->
     members = np.bincount(features.group, minlength=count)
     for _ in range(LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
-        columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
+        columns = np.hstack([data.terms * error, functions])
         variance = now.variance(data, own)
         mean, inverse = _posterior(columns, y, variance, fitted)
         after = _held_out(columns[:, _chosen(fitted, columns)], y, variance, fold)
@@ -370,21 +373,21 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     """
     data, terms = found.windows, found.windows.terms.shape[1]
     functions, own = features.sized(found.sizes)
-    columns = np.hstack([data.terms * rules.LEFT_ERROR, functions])
+    columns = np.hstack([data.terms * found.error, functions])
     mean, _ = _posterior(columns, data.residual, found.variance(data, own), found.fitted)
     group = np.concatenate([np.arange(terms), terms + features.group])
-    default = np.concatenate([default_spread / rules.LEFT_ERROR, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
+    default = np.concatenate([default_spread / found.error, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
     between = _between(rest, columns, own, group, default)
     # No function varies by more than its size, and within one recording no coefficient by more than its (possible) error.
     between[terms:] = np.minimum(between[terms:], 1.0)
     if only:
-        between[:terms] = np.minimum(between[:terms], np.maximum(np.abs(mean[:terms]), 1.0))
+        between[:terms] = np.minimum(between[:terms], np.maximum(np.abs(mean[:terms]), rules.LEFT_ERROR / found.error))
     beyond = np.maximum(between**2 - default**2, 0.0)
     # A drift within a single recording is extrapolated to the next one as a random walk.
     spread = np.sqrt(default**2 + beyond * (SECTIONS if only else 1))
     return found._replace(
-        spread=spread[:terms] * rules.LEFT_ERROR,
+        spread=spread[:terms] * found.error,
         changing=spread[terms:],
     )
 

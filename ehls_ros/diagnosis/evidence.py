@@ -236,7 +236,7 @@ def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int 
         realisations: number of realisations of the added noise for the noise floor.
     """
     comparison = Comparison(record, setup)
-    masks = {channel: usable(comparison, channel) for channel in setup.channels}
+    masks = {channel: usable(comparison, channel, rig) for channel in setup.channels}
     channels: tuple[Channel, ...] = tuple(c for c in setup.channels if np.any(masks[c]))
     raw = comparison.residuals(rig, channels)
     noise = deviations(record)

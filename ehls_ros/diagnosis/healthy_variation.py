@@ -48,7 +48,8 @@ FACTORS: Mapping[Channel, str] = {
 """Input of each channel's balance. Errors of its gain are proportional to it, as those of friction are to the direction."""
 
 PROGRAMME, SAME_PROGRAMME = (0.05, 0.25, 0.5, 0.75, 0.95), 0.5
-"""Quantiles of the signals by which two recordings are of one programme; their largest difference, as a fraction of the range.
+"""Quantiles of the signals by which a programme is known; their largest distance from those of all baselines, as a fraction of
+the range.
 
 It is up to 0.45 for other seeds of a random programme, 0.8 and more for another one.
 """
@@ -110,6 +111,7 @@ class RemainderTerms(NamedTuple):
         temperature: mean oil temperature [K]; None if a baseline lacks it.
         homogeneous: whether all coefficients larger by one factor change the residual by itself. So it is without a measured
             load: then the measured area's term would allow a share of any fault, and that of the modelled balance is taken.
+        errors: relative standard deviation of each coefficient's error, by name; :data:`rules.LEFT_ERROR` by default.
     """
 
     size: float
@@ -119,6 +121,7 @@ class RemainderTerms(NamedTuple):
     unit: float
     temperature: float | None
     homogeneous: bool = False
+    errors: Mapping[str, float] = {}
 
     def windows(self, recording: DescribedEvidence, channel: Channel) -> Windows:
         """Return a channel's windows of one recording.
@@ -131,8 +134,6 @@ class RemainderTerms(NamedTuple):
         residual = evidence.base.values[channel] * evidence.floor[channel] / self.size
         if self.homogeneous:
             by_name[SCALE] = by_name[SCALE] - residual
-        # The piston's area is known from its drawing.
-        by_name[SCALE] = by_name.get(SCALE, np.zeros(count)) * rules.AREA_ERROR / rules.LEFT_ERROR
         columns = np.column_stack([by_name.get(name, np.zeros(count)) for name in self.spreads])
         if self.temperature is not None:
             warmer = (signals.get(TEMPERATURE, np.full(count, self.temperature)) - self.temperature) / rules.WARMER
@@ -151,11 +152,13 @@ class RemainderTerms(NamedTuple):
     def learn_from(self, recordings: Sequence[Windows]) -> Learnt:
         """Learn the remainder from the windows of several recordings."""
         spread = np.array(list(self.spreads.values()))
+        error = np.array([self.errors.get(name, rules.LEFT_ERROR) for name in self.spreads])
         fitted = np.array([name != SCALE for name in self.spreads])
         if self.temperature is not None:
             # The oil temperature varies from recording to recording, its effect does not.
             spread, fitted = np.concatenate([spread, np.zeros_like(spread)]), np.tile(fitted, 2)
-        return learn(recordings, spread, fitted)
+            error = np.concatenate([error, np.full(len(error), rules.LEFT_ERROR)])
+        return learn(recordings, spread, error, fitted)
 
 
 class ChannelRemainder(NamedTuple):
@@ -167,8 +170,7 @@ class ChannelRemainder(NamedTuple):
         transfer: rms error beyond noise of its expectation in a recording that it was not learnt from, as a fraction of the
             largest term.
         elsewhere: the same in a recording of another programme.
-        misjudged: the same in standard deviations of that expectation, at least 1; infinite if nothing is known of another
-            programme.
+        misjudged: the same in standard deviations of that expectation, at least 1.
         ranges: quantiles of the signals in each baseline, by its name, shape (quantiles, signals).
     """
 
@@ -176,7 +178,7 @@ class ChannelRemainder(NamedTuple):
     learnt: Learnt
     transfer: float = 0.0
     elsewhere: float = 0.0
-    misjudged: float = math.inf
+    misjudged: float = 1.0
     ranges: Mapping[str, Array] = {}
 
     def with_transfer(self, baselines: Mapping[str, Windows]) -> "ChannelRemainder":
@@ -190,11 +192,10 @@ class ChannelRemainder(NamedTuple):
         # All windows of a baseline may lie in one section, which leaves nothing to expect it from.
         errors = [self._unexpected(recording == k) for k in parts] if len(parts) > 1 else [(whole, math.inf)]
         found, misjudged = (max(error) for error in zip(*errors, strict=True))
-        only = len(baselines) == 1
         return self._replace(
             transfer=found,
-            elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if only else found),
-            misjudged=math.inf if only else max(misjudged, 1.0),
+            elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if len(baselines) == 1 else found),
+            misjudged=max(misjudged, 1.0),
             ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
         )
 
@@ -205,9 +206,14 @@ class ChannelRemainder(NamedTuple):
             The rms beyond noise, and its ratio to the standard deviation of the expectation.
         """
         windows, rest = self.learnt.windows.where(own), self.learnt.windows.where(~own)
-        expected = self._replace(learnt=self.learnt._replace(windows=rest)).expected(windows)
-        near = np.isfinite(expected.variance)
-        off = _beyond_noise((windows.residual - expected.mean)[near], windows.noise[near])
+        others = self._replace(learnt=self.learnt._replace(windows=rest))
+        away = others.distance(windows)
+        inside = away <= 1.0
+        # Beyond their range, the expectation itself is uncertain.
+        few = np.mean(inside) < rules.MIN_KEPT_WINDOWS
+        windows = windows.where(away <= rules.MAX_EXTRAPOLATION if few else inside)
+        expected = others.expected(windows)
+        off = _beyond_noise(windows.residual - expected.mean, windows.noise)
         return off, off / expected.deviation if off > 0.0 else 0.0
 
     def form(self, expected: Expected, *, new: bool) -> float:
@@ -220,16 +226,32 @@ class ChannelRemainder(NamedTuple):
             expected: the expectation in a recording.
             new: whether there is no baseline of its programme.
         """
-        return min(self.elsewhere if new else self.transfer, rules.MAX_ALLOWED * self.misjudged * expected.deviation)
+        return min(self.elsewhere if new else self.transfer, self.most(new=new) * expected.deviation)
 
-    def of_programme(self, new: Windows) -> frozenset[str]:
-        """Return the baselines in which the signals have the same range as in another recording."""
-        there = np.quantile(new.signals, PROGRAMME, axis=0)
-        return frozenset(
-            name
-            for name, known in self.ranges.items()
-            if np.all(np.abs(there - known) <= SAME_PROGRAMME * np.ptp(known, axis=0))
-        )
+    def most(self, *, new: bool) -> float:
+        """Return the standard deviations of its expectation by which a healthy recording may differ from it, at most.
+
+        Args:
+            new: whether there is no baseline of its programme; of a single one, nothing is known of another.
+        """
+        if new and len(self.ranges) == 1:
+            return math.inf
+        return rules.MAX_ALLOWED * self.misjudged
+
+    def is_known(self, new: Windows) -> bool:
+        """Return whether the signals that follow the programme range as in the baselines, or between them."""
+        there, known = np.quantile(new.signals, PROGRAMME, axis=0), np.array(list(self.ranges.values()))
+        allowed = SAME_PROGRAMME * np.min(np.ptp(known, axis=1), axis=0)
+        within = (there >= np.min(known, axis=0) - allowed) & (there <= np.max(known, axis=0) + allowed)
+        follows = np.array([name != SUPPLY for name in self.terms.signals])
+        return bool(np.all(within[:, follows]))
+
+    def distance(self, new: Windows) -> Array:
+        """Return how far windows are from the middle of the baselines' range, in half ranges, shape (n,)."""
+        low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
+        middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
+        away: Array = np.max(np.abs(new.signals - middle) / np.maximum(half, 1e-300), axis=1, initial=0.0)
+        return away
 
     def expected(self, new: Windows) -> Expected:
         """Return the expected remainder of a healthy rig in windows of another recording.
@@ -237,10 +259,8 @@ class ChannelRemainder(NamedTuple):
         Errors of form cannot be extrapolated. Outside the baselines their uncertainty grows with the distance, and becomes
         infinite far away.
         """
-        low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
-        middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
-        away = np.max(np.abs(new.signals - middle) / np.maximum(half, 1e-300), axis=1, initial=1.0)
-        growth = np.minimum(away, rules.MAX_EXTRAPOLATION)
+        away = self.distance(new)
+        growth = np.clip(away, 1.0, rules.MAX_EXTRAPOLATION)
         found = self.learnt.expected(new.terms, new.signals, new.factor, growth)
         return found._replace(variance=np.where(away > rules.MAX_EXTRAPOLATION, np.inf, found.variance))
 
@@ -286,16 +306,15 @@ class HealthyVariation(Standard):
         windows = self._windows(describe(evidence))
         own = {c: self.channels[c] for c in windows}
         expected = {c: known.expected(windows[c]) for c, known in own.items()}
-        alike = [known.of_programme(windows[c]) for c, known in own.items()]
-        new = bool(alike) and not frozenset.intersection(*alike)
+        new = not all(known.is_known(windows[c]) for c, known in own.items())
         self.judgements.append(Judgement(evidence, expected, new))
         # In a recording of smaller motion, the error is as large as in the baselines.
         smaller = {c: max(1.0, known.terms.size / max(evidence.sizes[c], 1e-300)) for c, known in own.items()}
         form = {c: smaller[c] * known.form(expected[c], new=new) for c, known in own.items()}
-        return replace(self, form=form).judged_by(evidence, expected)
+        return replace(self, form=form).judged_by(evidence, expected, new=new)
 
-    def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected]) -> Evidence:
-        """Return the evidence judged by a given expectation."""
+    def judged_by(self, evidence: Evidence, expected: Mapping[Channel, Expected], *, new: bool = False) -> Evidence:
+        """Return the evidence judged by a given expectation; ``new`` is whether there is no baseline of its programme."""
         near = {c: np.isfinite(healthy.variance) for c, healthy in expected.items()}
         reasons = {CHANNELS[c]: OUTSIDE if c in expected else NOT_LEARNT for c in evidence.channels}
         allowances, evidence = {}, part_of(evidence, near)
@@ -309,6 +328,7 @@ class HealthyVariation(Standard):
                 directions=healthy.directions[near[c]] * size,
                 variance=healthy.variance[near[c]] * size**2,
                 correlated=self.channels[c].learnt.together,
+                most=self.channels[c].most(new=new),
             )
             allowances[c] = together([variation, measured[c]])
         return allowing(evidence, allowances, self)
@@ -376,8 +396,15 @@ def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:
     return rms(residual - fitted) < rules.HOMOGENEOUS * rms(recording.evidence.noise[channel])
 
 
-def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVariation:
-    """Learn the remainder of a healthy rig from recordings compared with the same model."""
+def learn_healthy_variation(baselines: Sequence[DescribedEvidence], errors: Mapping[str, float] = {}) -> HealthyVariation:
+    """Learn the remainder of a healthy rig from recordings compared with the same model.
+
+    Args:
+        baselines: the recordings.
+        errors: relative standard errors of the coefficients identified from them, by name.
+    """
+    # The piston's area is known from its drawing. An error as small as a healthy variation does not matter.
+    errors = {name: max(error, rules.SPREAD) for name, error in errors.items()} | {SCALE: rules.AREA_ERROR}
     out = dict[Channel, ChannelRemainder]()
     for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
         recordings = [b for b in baselines if c in b.evidence.channels]
@@ -393,6 +420,7 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence]) -> HealthyVa
             unit=rms(values.get(FACTORS[c], np.zeros(1))) or 1.0,
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
             homogeneous=all(is_homogeneous(b, c) for b in recordings),
+            errors=errors,
         )
         windows = {b.evidence.record.name: components.windows(b, c) for b in recordings}
         out[c] = ChannelRemainder(components, components.learn_from(list(windows.values()))).with_transfer(windows)

@@ -74,6 +74,14 @@ FASTEST_SHARE = 0.999
 RELAXED = 1.5
 """Relaxation times of a friction model per integration step, at most."""
 
+FORGOTTEN, LONGEST_MEMORY = 0.05, 0.2
+"""Effect of an unknown friction force at the beginning that no longer counts, as a fraction of the Coulomb friction; and the
+most of a stretch that is left out for it after the first sliding.
+
+Origin: an error of 5 % of a few 100 N that goes on decaying is less than the noise. It decays in 1.2 s of sliding on the
+paper's rig, too long for a recording of a few seconds.
+"""
+
 MAX_STEPS = 40
 """Most integration steps of a friction model per sample."""
 
@@ -423,7 +431,14 @@ class Comparison:
         # The other forces set the initial state of the elements, and the force a static model balances during stick.
         others = (_beam(rig), self.relevant_parts(rig, "force"))
         key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model, others)
-        return self._keep("friction", key, lambda: self._run_friction(rig, self._measured_motion(rig)))
+        return self._keep("friction", key, lambda: self._run_friction(rig, self._balance(rig)))
+
+    def friction_range(self, rig: EffectiveRig) -> Array:
+        """Return the range of the friction force for all its values at the start of each stretch, shape (n,) [N]."""
+        highest = np.full(int(np.count_nonzero(self.record.fresh)), rig.friction_level(0.0))
+        above, below = (self._run_friction(rig, balance)[:, 0] for balance in (highest, -highest))
+        apart: Array = np.abs(above - below)
+        return apart
 
     def load(self, rig: EffectiveRig) -> Any:
         """Return position [m] and velocity [m/s] of a separate load, and its friction and all other forces [N]."""
@@ -467,12 +482,12 @@ class Comparison:
         motion, steps = motion._replace(command=command), math.ceil(a.steps / FINER)
         return a._replace(motion=motion, fresh=fresh, period=a.period / FINER, steps=steps, history=FINER * a.history)
 
-    def _run_friction(self, rig: EffectiveRig, motion: Motion) -> Any:
-        period = self.record.period
+    def _run_friction(self, rig: EffectiveRig, balance: Any) -> Any:
+        period, motion = self.record.period, self._measured_motion(rig)
         steps = max(1, self._memory_steps("friction", rig), math.ceil(period / FRICTION_STEP), self._stiff_steps(rig, motion))
         scale = value_of(getattr(rig.friction, "stribeck_velocity", math.inf))
         extra = linear(np.ascontiguousarray, self.extra_force(rig)[:, 0])
-        inputs = FrictionInputs(extra, self._balance(rig, motion), scale)
+        inputs = FrictionInputs(extra, balance, scale)
         return run_part("friction", rig, self._along("friction", rig, motion, steps), inputs)
 
     def _run_load(self, rig: EffectiveRig, motion: Motion) -> Any:
@@ -492,8 +507,9 @@ class Comparison:
         fastest = rig.friction_law.relaxation_rate(values_of(rig.friction), speed)
         return min(MAX_STEPS, max(1, math.ceil(fastest * self.record.period / RELAXED)))
 
-    def _balance(self, rig: EffectiveRig, motion: Motion) -> Any:
+    def _balance(self, rig: EffectiveRig) -> Any:
         """Return the friction that balances the other forces at the start of each stretch, from smoothed motion [N]."""
+        motion = self._measured_motion(rig)
         acceleration = self._keep("acceleration", self._moves(rig), lambda: self._rate(motion.velocity))
         plant, fresh = rig.plant, self.record.fresh
         damping = plant.viscous_damping + rig.friction.viscous_coefficient
@@ -906,16 +922,19 @@ def _friction_known(comparison: Comparison) -> Mask:
     return friction_known(record, position, velocity, used.presliding, noise)
 
 
-def _has_slid(comparison: Comparison) -> Mask:
-    """Return the samples after the first sliding in their stretch, before which friction has an unknown force to begin with.
+def _forgotten(comparison: Comparison, rig: Rig) -> Mask:
+    """Return the samples of each stretch at which friction no longer depends on its unknown force at the beginning.
 
-    Between sliding in one direction and in the other, the piston moves by twice the presliding travel.
+    That is after the first sliding: between sliding in one direction and in the other, the piston moves by twice the
+    presliding travel. From then on, the model tells how fast it forgets.
     """
-    record = comparison.record
+    record, effective = comparison.record, rig.effective()
     position = record.values(POSITION) if POSITION in record else integral(record.values(VELOCITY), record.period)
     moved = record.by_stretch(lambda part: np.maximum.accumulate(np.abs(part - part[0])), position)
-    slid: Mask = moved >= 2.0 * comparison.setup.presliding
-    return slid
+    slid = moved >= 2.0 * comparison.setup.presliding
+    since = record.by_stretch(lambda part: np.cumsum(part) / len(part), slid.astype(np.float64))
+    known = comparison.friction_range(effective) <= FORGOTTEN * effective.friction_level(math.inf)
+    return slid & (known | (since > LONGEST_MEMORY))
 
 
 def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
@@ -928,8 +947,14 @@ def formed_of(record: Record, channel: Channel) -> tuple[str, ...]:
     return tuple(signal for signal in named if signal in record and signal != spare)
 
 
-def usable(comparison: Comparison, channel: Channel) -> Mask:
-    """Return the windows of a channel with measured samples only, away from the beginning of a stretch."""
+def usable(comparison: Comparison, channel: Channel, rig: Rig) -> Mask:
+    """Return the windows of a channel with measured samples only, away from the beginning of a stretch.
+
+    Args:
+        comparison: the recording and its setup.
+        channel: the channel.
+        rig: the given model, for the memory of its friction.
+    """
     record, used = comparison.record, comparison.setup
     good = np.ones(len(record.time), dtype=np.bool_)
     for signal in formed_of(record, channel):
@@ -939,7 +964,7 @@ def usable(comparison: Comparison, channel: Channel) -> Mask:
         wrong = (~record.good[COMMAND]).astype(np.float64)
         good &= np.convolve(wrong, np.ones(1 + round(rules.SPOOL_SETTLING / record.period)))[: len(wrong)] < 0.5
     if channel == "force":
-        good &= _friction_known(comparison) & _has_slid(comparison)
+        good &= _friction_known(comparison) & _forgotten(comparison, rig)
     window = used.window_of(channel)
     settling = round(rules.SETTLING / record.period)
     late = np.ones(len(good), dtype=np.bool_)

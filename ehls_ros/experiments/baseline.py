@@ -83,7 +83,7 @@ def diagnose_against(
     fitted = identified.rig if draft else _fitted([_evidence(recording, rig, what, seed) for recording, what in named], rig)
     progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in named]
-    variation = learn_healthy_variation(healthy)
+    variation = learn_healthy_variation(healthy, _relative_errors(identified))
     found = diagnose(
         new,
         fitted,
@@ -140,6 +140,12 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
     # A nat for each coefficient (Akaike, 1974).
     better = every if gained > len(determined) - len(basic) else few
     return better.rig._replace(effects=rig.effects)
+
+
+def _relative_errors(found: RigIdentification) -> dict[str, float]:
+    """Return the standard error of each identified coefficient, as a fraction of its value."""
+    known = {path: e for path, e in found.estimates.items() if not path.startswith("effects.") and e.value != 0.0}
+    return {path.rpartition(".")[2]: e.std / abs(e.value) for path, e in known.items()}
 
 
 def _coefficients(given: Rig, found: RigIdentification, variation: HealthyVariation) -> dict[str, Fitted]:

@@ -246,6 +246,24 @@ def balance_with(friction: Any, chains: Chains) -> Callable[..., tuple[float, fl
     return balance
 
 
+def break_away_with(friction: Any) -> Callable[[float, float, Any], float]:
+    """Build the break-away force beside a Stribeck level with effects on it.
+
+    Args:
+        friction: module of the friction model.
+
+    Returns:
+        Compiled ``break_away(level, v, p)``: the level at rest [N] in proportion to that at a velocity, of the parameters ``p``.
+    """
+    sliding_level = friction.level
+
+    @kernel_no_refcount
+    def break_away(level: float, v: float, p: Any) -> float:
+        return level * (sliding_level(0.0, p) / sliding_level(v, p))
+
+    return break_away
+
+
 def motion(friction: Any, elements: int, chains: Chains) -> tuple[Callable[..., float], Callable[..., None]]:
     """Build the equation of motion of the moving mass, with friction.
 

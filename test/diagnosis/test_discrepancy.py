@@ -13,6 +13,7 @@ from ehls_ros.diagnosis.evidence import Standard, allowing
 from ehls_ros.diagnosis.healthy_variation import DescribedEvidence, HealthyVariation, RemainderTerms
 
 NOISE, SPREAD, FITTED = 0.01, np.array([1e-3]), np.array([True])
+ERROR = np.array([rules.LEFT_ERROR])
 
 
 def made(seed, low=-1.0, high=1.0, level=0.0, windows=1200):
@@ -34,7 +35,7 @@ def expected(learnt, windows, growth=1.0):
 
 
 def test_a_smooth_remainder_is_learnt():
-    learnt = learn([made(1)], SPREAD, FITTED)
+    learnt = learn([made(1)], SPREAD, ERROR, FITTED)
     other = made(2)
     found = expected(learnt, other)
     assert np.sqrt(np.mean((found.mean - curve(other.signals[:, 0])) ** 2)) < 0.4 * NOISE
@@ -45,7 +46,7 @@ def test_a_smooth_remainder_is_learnt():
 
 
 def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed():
-    learnt = learn([made(1)], SPREAD, FITTED)
+    learnt = learn([made(1)], SPREAD, ERROR, FITTED)
     far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]), np.ones(3), np.ones(3))
     deviation = np.sqrt(np.sum(far.directions**2, axis=1) + far.variance)
     assert far.mean[0] == pytest.approx(curve(0.5), abs=NOISE)
@@ -55,7 +56,7 @@ def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed()
 
 
 def test_errors_of_form_grow_and_those_of_coefficients_do_not():
-    learnt, data = learn([made(1)], SPREAD, FITTED), made(2)
+    learnt, data = learn([made(1)], SPREAD, ERROR, FITTED), made(2)
     term, one, grown = data.terms[:, 0], expected(learnt, data), expected(learnt, data, growth=3.0)
     np.testing.assert_array_equal(grown.mean, one.mean)
     np.testing.assert_allclose(grown.variance, 9.0 * one.variance)
@@ -85,7 +86,7 @@ def test_what_a_coefficient_does_as_the_oil_warms_is_told_from_days_of_other_tem
 
 def test_what_a_coefficient_can_do_no_function_does():
     data = made(1, level=0.04)
-    learnt = learn([data], SPREAD, FITTED)
+    learnt = learn([data], SPREAD, ERROR, FITTED)
     term = data.terms[:, 0]
     again = expected(learnt, data)
     assert again.mean @ term / (term @ term) == pytest.approx(data.residual @ term / (term @ term), abs=1e-3)
@@ -97,7 +98,7 @@ def test_what_a_coefficient_can_do_no_function_does():
 def test_a_coefficient_that_is_not_fitted_may_be_off_where_no_baseline_has_been():
     data = made(1)
     held = data._replace(terms=np.ones_like(data.terms))
-    learnt = learn([held], np.zeros(1), np.array([False]))
+    learnt = learn([held], np.zeros(1), ERROR, np.array([False]))
     same, twice = (expected(learnt, held._replace(terms=held.terms * size)).directions for size in (1.0, 2.0))
     told, open_ = (float(np.linalg.norm(np.mean(d, axis=0))) for d in (same, twice))
     assert open_ > 20.0 * told
@@ -107,7 +108,7 @@ def test_an_error_of_gain_is_learnt():
     data = made(1)
     factor = np.random.default_rng(3).standard_normal(len(data.residual))
     slope = data._replace(residual=data.residual + 0.1 * factor * data.signals[:, 0], factor=factor)
-    before, after = learn([slope], SPREAD, FITTED).power
+    before, after = learn([slope], SPREAD, ERROR, FITTED).power
     assert np.sqrt(before) > 0.1
     assert np.sqrt(after) == pytest.approx(NOISE, rel=0.2)
 
@@ -116,14 +117,14 @@ def test_an_error_of_gain_is_learnt():
 def test_what_drifts_within_an_only_recording_goes_on_drifting(level, drift):
     data = made(1, level=level, windows=3000)
     drifting = np.repeat([-drift, 0.0, drift], 1000)
-    learnt = learn([data._replace(residual=data.residual + drifting * data.terms[:, 0])], SPREAD, FITTED)
+    learnt = learn([data._replace(residual=data.residual + drifting * data.terms[:, 0])], SPREAD, ERROR, FITTED)
     assert learnt.spread[0] == pytest.approx(drift * np.sqrt(SECTIONS), rel=0.2)
-    assert learn([data], SPREAD, FITTED).spread[0] < 3.0 * SPREAD[0]
+    assert learn([data], SPREAD, ERROR, FITTED).spread[0] < 3.0 * SPREAD[0]
 
 
 def test_recordings_that_differ_teach_the_spread():
-    alike = learn([made(seed) for seed in (1, 2, 3)], SPREAD, FITTED)
-    apart = learn([made(seed, level=level) for seed, level in ((1, -0.03), (2, 0.0), (3, 0.03))], SPREAD, FITTED)
+    alike = learn([made(seed) for seed in (1, 2, 3)], SPREAD, ERROR, FITTED)
+    apart = learn([made(seed, level=level) for seed, level in ((1, -0.03), (2, 0.0), (3, 0.03))], SPREAD, ERROR, FITTED)
     assert alike.spread[0] < 2.0 * SPREAD[0]
     assert apart.spread[0] == pytest.approx(0.03, rel=0.2)
 
@@ -132,10 +133,10 @@ def test_memory_counts_windows_that_err_together():
     rng = np.random.default_rng(5)
     data = made(1)
     steps = np.repeat(0.05 * rng.standard_normal(120), 10)
-    slow = learn([data._replace(residual=data.residual + steps)], SPREAD, FITTED)
+    slow = learn([data._replace(residual=data.residual + steps)], SPREAD, ERROR, FITTED)
     assert slow.left == pytest.approx(0.05, rel=0.2)
     assert 6.0 < slow.together < 15.0
-    assert learn([data], SPREAD, FITTED).together < 2.0
+    assert learn([data], SPREAD, ERROR, FITTED).together < 2.0
 
 
 def test_an_allowed_direction_has_unit_variance_and_others_keep_theirs():

@@ -141,8 +141,8 @@ def test_friction_is_judged_after_the_first_sliding():
     prepared = prepare(recorded(duration=4.0), RIG, "case")
     comparison = Comparison(prepared, setup(prepared, RIG))
     window = comparison.setup.window_of("force")
-    judged = window.mean(prepared.time)[usable(comparison, "force")]
+    judged = window.mean(prepared.time)[usable(comparison, "force", RIG)]
     position = prepared.signals["position_m"]
     moved = np.abs(position - position[0]) > 2.0 * comparison.setup.presliding
     first = prepared.time[np.argmax(moved)]
-    assert first < judged[0] < first + 0.2
+    assert first < judged[0] < first + 0.5

@@ -17,7 +17,7 @@ from ehls_ros.physics.imposed_motion.base import (
     write_slopes,
 )
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, Chains, V, balance_with, relations
+from ehls_ros.physics.plant import FRICTION, Chains, V, balance_with, break_away_with, relations
 
 STEEP, FINE = 0.1, 6
 """Change of velocity within a sample, relative to speed plus Stribeck velocity, above which the Stribeck level is nonlinear;
@@ -121,6 +121,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
     """
     balance, advance_effects = balance_with(friction, chains), effect_integrator(relations(chains), states)
     advance, force, change, begin = friction_integrator(friction, elements), friction.force, friction.switch, friction.begin
+    break_away = break_away_with(friction)
 
     @kernel_no_refcount
     def run_samples(a: ModelRun, inputs: FrictionInputs, measured: Scratch, own: Scratch, out: Array) -> None:
@@ -134,7 +135,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
                 z[:] = 0.0
                 mode[:] = 0.0
                 level, applied = balance(inputs.extra[k], t, y, z, coefficients(a, w))
-                begin(inputs.balance[stretch], level, a.friction, forces)
+                # Friction may still be falling from the break-away force.
+                begin(inputs.balance[stretch], break_away(level, y[V], a.friction), a.friction, forces)
                 stretch += 1
                 if y[V] != 0.0:
                     # In motion: an infinite applied force releases a static model.

@@ -12,7 +12,7 @@ from ehls_ros.duals import dual_array, joined, value_of
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.imposed_motion.base import Body, ModelRun, Scratch, coefficients, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, balance_with, motion, relations
+from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, balance_with, break_away_with, motion, relations
 
 MAX_EVENTS = 4
 """Most events located within a step; further ones of a chattering contact are not located."""
@@ -93,7 +93,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
     equations, joint_chain = relations(chains), chains.joint_force
     extra, effect_rates, balance = equations.extra, equations.effect_rates, balance_with(friction, chains)
     move, reverse = motion(friction, elements, chains)
-    force, begin = friction.force, friction.begin
+    force, begin, break_away = friction.force, friction.begin, break_away_with(friction)
 
     @kernel_no_refcount
     def joint_force(t: float, y: Array, c: Interval) -> float:
@@ -165,7 +165,7 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
             applied = others + joint_force(t, y, c)
             if a.fresh[k]:
                 inertia = a.friction.viscous_coefficient * y[V] + a.plant.moving_mass * slope[V]
-                begin(applied - inertia, level, a.friction, y[FRICTION:end])
+                begin(applied - inertia, break_away(level, y[V], a.friction), a.friction, y[FRICTION:end])
             out[k, 0], out[k, 1] = y[X], y[V]
             out[k, 2] = force(y[V], applied, level, y[FRICTION:end], mode, a.friction)
             # The joint's force cancels in the sum of both balances.
