@@ -55,8 +55,10 @@ CHANGES: Mapping[str, Change] = {
         "plant.valve_gain",
     ),
     "valve_null": Change(("valve_null_bias",), ("command", "opening"), "effects.valve_null_bias.command", "valve_null"),
-    # No effect of the list lowers the supply pressure by itself.
-    "supply_pressure": Change(("", "supply_pressure_droop", "valve_gain_shift"), (), "plant.supply_pressure", relative=True),
+    # Where the supply pressure is not recorded, a change of it has nearly the effect of one of the flow gain.
+    "supply_pressure": Change(
+        ("supply_pressure_shift", "supply_pressure_droop", "valve_gain_shift"), ("factor",), "plant.supply_pressure", "", True
+    ),
     "pressure_gain": Change(("pressure_sensor_gain",), ("gain",), "", "pressure_sensor_gain", relative=True),
     "pressure_bias": Change(("pressure_sensor_bias",), ("bias",), "", "pressure_sensor_bias"),
     "spring": Change(("spring_rate_shift",), ("added",), "plant.spring_stiffness", "spring_stiffness"),
@@ -95,10 +97,8 @@ def judge(row: Row, mode: str) -> Judgement | None:
         return _named(row, [c for change in given["changes"][:1] for c in change["causes"]], *_stage(given["changes"]), None)
     unknown = given["unknown_stage"] if given["verdict"] in ("unknown", "partial") else None
     if mode == "alone":
-        # A change of the supply shows as a remainder.
-        unknown = unknown if row["kind"] == "supply_pressure" else None
         changes = [c for c in given["causes"] if c["name"] not in OWN]
-        return _named(row, changes, "effect" if changes else "unknown" if unknown else "consistent", unknown, given["power"])
+        return _named(row, changes, "effect" if changes else "consistent", None, given["power"])
     return _named(row, given["causes"], given["verdict"], unknown, given["power"])
 
 
@@ -124,7 +124,7 @@ def _named(
     if not alarm:
         return Judgement("missed", visible, None, verdict, words)
     first = {causes[0]["name"], *causes[0]["equivalent_to"]} if causes else set[str]()
-    right = bool(first & set(change.effects)) or (row["kind"] == "supply_pressure" and unknown == "flow")
+    right = bool(first & set(change.effects))
     size = None
     for cause in causes[:1]:
         if cause["name"] == change.effects[0]:

@@ -78,6 +78,10 @@ class Allowed(NamedTuple):
         """Whether there is a largest size to each allowed variation."""
         return bool(np.all(np.isfinite(self.bounds)))
 
+    def unbounded(self) -> "Allowed":
+        """Return the allowance without bounds."""
+        return self._replace(bounds=np.full_like(self.bounds, math.inf))
+
     def whole(self, e: Array) -> Array:
         """Return whitened residuals with the allowed variation restored."""
         counted = self.basis.T @ e

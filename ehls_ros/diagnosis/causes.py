@@ -115,9 +115,7 @@ def _indistinguishable(
     return out
 
 
-def _within_form(
-    evidence: Evidence, best: Assessment, rival: Assessment, gain: float, scale: Mapping[Channel, float]
-) -> bool:
+def _within_form(evidence: Evidence, best: Assessment, rival: Assessment, gain: float, scale: Mapping[Channel, float]) -> bool:
     """Return whether a rival that explains most of a cause's gain differs by no more than errors of the model's form."""
     worthwhile = rival.score(scale) >= best.score(scale) - (1.0 - rules.WORTHWHILE) * gain
     return worthwhile and not beyond_form(evidence, differences(evidence, best, rival))

@@ -69,6 +69,9 @@ class Standard:
     accepted_rivals_only = False
     """Whether only acceptable hypotheses compete for a cause's place."""
 
+    bounds_are_of_chance = False
+    """Whether the bounds of allowed variation only tell a change from chance; the size of a change does not depend on them."""
+
     def judged(self, evidence: "Evidence") -> "Evidence":
         """Return evidence, so far without allowances, judged by this standard."""
         return replace(evidence, standard=self)
@@ -190,6 +193,12 @@ class Evidence:
     def whole(self, channel: Channel, e: Array) -> Array:
         """Return a channel's whitened residuals with the allowed variation restored, in units of the noise floor."""
         return self.allowed[channel].whole(e) if channel in self.allowed else e
+
+    def unbounded(self) -> "Evidence":
+        """Return the evidence with allowances of the same variation without bounds."""
+        free = {c: allowed.unbounded() for c, allowed in self.allowed.items()}
+        base = {c: free[c].whitened(self.whole(c, e)) if c in free else e for c, e in self.base.values.items()}
+        return replace(self, allowed=free, base=self.base._replace(values=base))
 
     def averaged_noise(
         self, comparison: Comparison, rig: Rig, residuals: Residuals, channels: Sequence[Channel]

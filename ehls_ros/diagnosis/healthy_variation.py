@@ -288,6 +288,7 @@ class HealthyVariation(Standard):
     form_is_noise = True
     needed_gain = rules.NEEDED_GAIN_BESIDE_FORM
     min_gain_ratio = rules.MIN_GAIN_RATIO_BESIDE_FORM
+    bounds_are_of_chance = True
 
     def expected(self, recording: DescribedEvidence) -> dict[Channel, Expected]:
         """Return the expected remainder of a healthy rig in each channel of the baselines, in units of its size."""

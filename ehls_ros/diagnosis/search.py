@@ -98,8 +98,28 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     always = None if best.names else explaining(evidence, base, level, scale)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
+    if evidence.standard.bounds_are_of_chance and best.names:
+        best = _without_bounds(evidence, best)
     progress("causes together", 1.0)
     return Searched(best, places, tuple(starts.alone), scale, always)
+
+
+def _without_bounds(evidence: Evidence, best: Assessment) -> Assessment:
+    """Return a hypothesis at its optimum without bounds of the allowed variation, with the standard errors there.
+
+    At a bound, the slope of the loss changes by orders of magnitude: a fit stops there, and difference quotients across the
+    bound make a size seem surer than the variation allows.
+    """
+    free = Worker(evidence.unbounded())
+    start = free.linearise(best.hypothesis, best.fit.values, best.fit.steps)
+    fit = free.fit(start)
+    bounded = Worker(evidence)
+    again = bounded.linearise(best.hypothesis, fit.values, best.fit.steps)
+    if again.loss > best.fit.loss + again.negligible(best.fit.loss, len(again.residuals.joined(again.channels))):
+        again, fit = best.fit, start
+    covariance = assess(free.evidence, fit).held_out.covariance
+    found = assess(evidence, again, bounded)
+    return found._replace(held_out=found.held_out._replace(covariance=covariance))
 
 
 def given_model(evidence: Evidence) -> Assessment:

@@ -253,7 +253,7 @@ def break_away_with(friction: Any) -> Callable[[float, float, Any], float]:
         friction: module of the friction model.
 
     Returns:
-        Compiled ``break_away(level, v, p)``: the level at rest [N] in proportion to that at a velocity, of the parameters ``p``.
+        Compiled ``break_away(level, v, p)``: the level at rest [N] in proportion to that at a velocity ``v``.
     """
     sliding_level = friction.level
 

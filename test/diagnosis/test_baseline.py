@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.diagnosis import stages
+from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.excitation import mass_observable
 from ehls_ros.diagnosis.healthy_variation import NOT_LEARNT, OUTSIDE, describe, learn_healthy_variation
@@ -18,6 +19,7 @@ from ehls_ros.experiments.spec import load_rig
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse, rig_from_mapping
 from ehls_ros.trajectory import Preparation, Trajectory
+from truth_generator import record
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
@@ -115,6 +117,21 @@ def test_allowances_take_no_share_of_a_change(recorded, rig, hidden, use, neutra
         changed = rig.with_effects((EffectUse(name, values),))
         losses.append(np.sum(judged.residuals(judged.comparison(), changed).values["volume"] ** 2))
     assert sizes[np.argmin(losses)] == pytest.approx(1.0, abs=0.11)
+
+
+def test_a_pump_set_lower_is_named_with_its_size(rig_file, rig):
+    """Coefficients may vary by 0.3 % between recordings: 17 standard deviations of that are no healthy variation."""
+    columns = (*COLUMNS, "spool_m", "supply_pressure_pa")
+    lower = copy.deepcopy(rig_file)
+    lower["plant"]["supply_pressure"] *= 0.95
+    healthy = [record(rig_file, {}, "rich", seed=seed, duration=SECONDS, columns=columns) for seed in (1, 2)]
+    variation = learn_healthy_variation([describe(evidence(made, rig)) for made in healthy])
+    new = record(lower, {}, "rich", seed=3, duration=SECONDS, columns=columns)
+    found = diagnose(Trajectory(new.time, new.columns), rig, "new", threads=1, standard=variation)
+    assert [cause.name for cause in found.causes] == ["supply_pressure_shift"]
+    told = found.causes[0].parameters["factor"]
+    assert told.value == pytest.approx(0.95, abs=1e-3)
+    assert 1e-3 < told.std < 1e-2
 
 
 def imperfect(trajectory, rig):

@@ -469,6 +469,15 @@ def test_what_explains_less_is_a_rival():
     assert rival.closed_fraction == pytest.approx(1.0 - 0.09 / 1.09, abs=0.03)
 
 
+@pytest.mark.parametrize(("form", "equivalent"), [(0.02, ("viscous_shift",)), (0.002, ())])
+def test_what_differs_by_no_more_than_errors_of_form_is_equivalent(form, equivalent):
+    # The rival differs by 0.9 % of the largest term.
+    evidence, found = searched()
+    (cause,) = causes(replace(evidence, standard=HealthyVariation({}, form={"force": form})), found, 0)
+    assert cause.equivalent_to == equivalent
+    assert cause.probability == pytest.approx(0.5 if equivalent else 1.0, abs=0.01)
+
+
 def test_what_explains_nearly_as_much_is_equivalent_where_a_missing_signal_would_tell(monkeypatch):
     evidence, found = searched(spoil=0.18)  # leaves 3 % of the power
     assert causes(evidence, found, 0)[0].equivalent_to == ()

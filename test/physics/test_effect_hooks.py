@@ -135,6 +135,7 @@ SHIFTED = [
     ("valve_gain_shift", {"gain": 0.8}, "plant.valve_gain", 0.8),
     ("valve_gain_shift", {"flow_gain": 1.5}, "plant.discharge_coefficient", 0.93),
     ("valve_bandwidth_shift", {"factor": 0.5}, "plant.valve_bandwidth", 55.731853715),
+    ("supply_pressure_shift", {"factor": 0.9}, "plant.supply_pressure", 6.3e6),
     ("bulk_modulus_shift", {"factor": 0.5}, "plant.bulk_modulus", 3.45e8),
     ("internal_leakage_shift", {"added": 1e-12}, "plant.leakage_coefficient", 5.7e-12),
     ("internal_leakage_shift", {"added": -1e-11}, "plant.leakage_coefficient", 0.0),

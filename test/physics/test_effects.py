@@ -30,8 +30,8 @@ NAMES = EFFECTS.names()
 CONTRACT = {
     "valve": """valve_dead_zone valve_null_bias valve_gain_asymmetry valve_gain_shift valve_saturation valve_bandwidth_shift
         valve_second_order valve_hysteresis command_delay edge_gain edge_wear""",
-    "flow": """supply_pressure_droop bulk_modulus_shift entrained_air internal_leakage_shift turbulent_leakage
-        external_leakage hose_compliance tank_pressure_shift""",
+    "flow": """supply_pressure_shift supply_pressure_droop bulk_modulus_shift entrained_air internal_leakage_shift
+        turbulent_leakage external_leakage hose_compliance tank_pressure_shift""",
     "friction": """coulomb_shift coulomb_asymmetry viscous_shift viscous_asymmetry stribeck_shift presliding_stiffness_shift
         pressure_dependent_friction position_dependent_friction temperature_dependent_friction""",
     "mechanics": "mass_shift spring_rate_shift spring_hardening hinge_backlash end_stop flexible_mode",

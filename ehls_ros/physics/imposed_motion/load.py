@@ -12,7 +12,19 @@ from ehls_ros.duals import dual_array, joined, value_of
 from ehls_ros.physics.composition import Switched
 from ehls_ros.physics.imposed_motion.base import Body, ModelRun, Scratch, coefficients, set_sample, write_slopes
 from ehls_ros.physics.integration import integrator
-from ehls_ros.physics.plant import FRICTION, PL, XV, Chains, Coefficients, V, X, balance_with, break_away_with, motion, relations
+from ehls_ros.physics.plant import (
+    FRICTION,
+    PL,
+    XV,
+    Chains,
+    Coefficients,
+    V,
+    X,
+    balance_with,
+    break_away_with,
+    motion,
+    relations,
+)
 
 MAX_EVENTS = 4
 """Most events located within a step; further ones of a chattering contact are not located."""
