@@ -10,7 +10,7 @@
 
 Position, load pressure, spool and force are measured, with force = Ac pL + o. The surroundings are a spring kc and a damper cc
 to the actuator under test. The values of kc and cc are known. The actuator yields by x_a to the force R of the coupling, as its
-mass m_a lies on the stiffness kh = 4 beta_e Ac^2/Vt of its oil; valve and cylinder are taken to be like the loader's. The force
+mass m_a lies on the stiffness kh of its oil; by default, valve and cylinder are taken to be like the loader's. The force
 of the motion that it makes of its own accord is d, since both motions superpose. A model with an immovable actuator is false at
 the frequencies of both masses on coupling and oil, and a loop with a delay then oscillates at them. The states b and c are the
 errors of valve gain and discharge coefficient. The states q and o are the unmodelled flow and the offset of the load cell. The
@@ -37,7 +37,6 @@ from ehls_ros.physics.equations import applied_force, load_flow, load_pressure_r
 from ehls_ros.physics.friction.base import sign
 from ehls_ros.physics.friction.gms import Parameters as Friction
 from ehls_ros.physics.friction.gms import level as sliding_level
-from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, XV, V, X
 from ehls_ros.schema import quantity
 
@@ -111,10 +110,15 @@ LeastOpening = Annotated[
 ]
 FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12, scale="pressure")]
 OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6, scale="force")]
-ActuatorMass = Annotated[
+ActuatorMass = Annotated[float, quantity("kg", "moving mass of the actuator under test", above=0.0, maximum=1e5, scale="mass")]
+ActuatorStiffness = Annotated[
     float,
     quantity(
-        "kg", "moving mass of the actuator under test, on a cylinder like the loader's", above=0.0, maximum=1e5, scale="mass"
+        "N/m",
+        "stiffness of the oil of the actuator under test",
+        above=0.0,
+        maximum=1e12,
+        scale="force * compression / pressure",
     ),
 ]
 
@@ -140,6 +144,7 @@ class Assumptions(NamedTuple):
         flow_noise: root of the spectral density of the rate of the flow's error [Pa/s^3/2].
         offset_noise: likewise of the rate of the load cell's offset [N/s^1/2].
         actuator_mass: m_a [kg]; infinite for an actuator that does not yield.
+        actuator_stiffness: kh [N/m].
     """
 
     coupling_stiffness: float
@@ -159,6 +164,7 @@ class Assumptions(NamedTuple):
     flow_noise: float
     offset_noise: float
     actuator_mass: float
+    actuator_stiffness: float
 
 
 class State(NamedTuple):
@@ -223,12 +229,6 @@ def state_of(memory: Array) -> State:
 
 
 @kernel
-def oil_stiffness(plant: Plant) -> float:
-    """Return the stiffness of the oil of a cylinder whose valve is shut, kh [N/m]."""
-    return compression(plant) * plant.piston_area
-
-
-@kernel
 def coupling_force(y: Array, p: Assumptions) -> float:
     """Return R for a mean [N]."""
     return p.coupling_stiffness * (y[X] - y[YIELD]) + p.coupling_damping * (y[V] - y[YIELD_RATE])
@@ -264,7 +264,7 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
         else:
             rate[STATES + i] = friction.attraction_rate * (mode[i] * friction.element_weight[i] - force / level)  # (8)
     coupled = coupling_force(y, p)
-    held = oil_stiffness(plant) * y[YIELD] + (plant.viscous_damping + friction.viscous_coefficient) * y[YIELD_RATE]
+    held = p.actuator_stiffness * y[YIELD] + (plant.viscous_damping + friction.viscous_coefficient) * y[YIELD_RATE]
     side = 1.0 if y[XV] >= 0.0 else -1.0
     flow = (1.0 + y[DISCHARGE]) * load_flow(y[XV], side, y[PL], supply, plant)
     rate[X] = y[V]
@@ -295,9 +295,8 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
 def fastest_mode(model: Model, p: Assumptions) -> float:
     """Return the largest of the valve's bandwidth and the frequencies of both pistons, all elements sticking [rad/s]."""
     plant = model.plant
-    stiffness = p.coupling_stiffness + oil_stiffness(plant)
-    actuator = math.sqrt(stiffness / p.actuator_mass)
-    stiffness += plant.spring_stiffness
+    actuator = math.sqrt((p.coupling_stiffness + p.actuator_stiffness) / p.actuator_mass)
+    stiffness = plant.spring_stiffness + p.coupling_stiffness + compression(plant) * plant.piston_area
     for i in range(elements(model.friction)):
         stiffness += model.friction.element_stiffness[i]
     return max(math.sqrt(stiffness / plant.moving_mass), actuator, plant.valve_bandwidth)
@@ -366,7 +365,7 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     jacobian[V, YIELD_RATE] = p.coupling_damping / plant.moving_mass
     jacobian[YIELD_RATE, X] = p.coupling_stiffness / p.actuator_mass
     jacobian[YIELD_RATE, V] = p.coupling_damping / p.actuator_mass
-    jacobian[YIELD_RATE, YIELD] = -(p.coupling_stiffness + oil_stiffness(plant)) / p.actuator_mass
+    jacobian[YIELD_RATE, YIELD] = -(p.coupling_stiffness + p.actuator_stiffness) / p.actuator_mass
     jacobian[YIELD_RATE, YIELD_RATE] = -(damping + p.coupling_damping) / p.actuator_mass
     jacobian[PL, V] = -hydraulic * plant.piston_area
     jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + flow_gain * abs(y[XV]) / (2.0 * drop))
@@ -501,7 +500,7 @@ def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
 
 
 @kernel
-def let_yield(model: Model, p: Assumptions, state: State) -> None:
+def let_yield(p: Assumptions, state: State) -> None:
     """Begin or end the yielding of the actuator under test in the model, without a step of the force on the piston.
 
     It begins in balance with the piston. A yielding that is not modelled is part of d.
@@ -511,7 +510,7 @@ def let_yield(model: Model, p: Assumptions, state: State) -> None:
         return
     y, covariance = state.mean, state.covariance
     before = coupling_force(y, p)
-    part = yields * p.coupling_stiffness / (p.coupling_stiffness + oil_stiffness(model.plant))
+    part = yields * p.coupling_stiffness / (p.coupling_stiffness + p.actuator_stiffness)
     y[YIELD], y[YIELD_RATE] = part * y[X], part * y[V]
     y[EXTERNAL] += before - coupling_force(y, p)
     for i in range(STATES):
@@ -579,11 +578,11 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
         if not math.isfinite(sum_read):
             return False
         start(measured, model, p, state)
-        let_yield(model, p, state)
+        let_yield(p, state)
         expect(foreseen, model.period, state)
         state.mean[EXTERNAL_RATE], state.mean[EXTERNAL_CURVATURE] = state.expected[1], state.expected[2]
         return True
-    let_yield(model, p, state)
+    let_yield(p, state)
     advance(supply_of(measured, model), model, p, state)
     expect(foreseen, model.period, state)
     position = state.mean[X]

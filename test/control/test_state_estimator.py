@@ -55,7 +55,7 @@ def send(command, memory):
 UNFORESEEN = np.full(3, math.nan)
 
 # Little process noise, so that the elements stick and the equations are nearly linear.
-CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 0.01, 1e-4, 1e3, 3.0, 60.0)
+CALM = Assumptions(2e6, 2e3, 1e-3, 2e-7, 1e3, 1e-7, 2.0, 0.05, 5e2, 1e-7, 1e3, 0.01, 0.01, 1e-4, 1e3, 3.0, 60.0, 1e7)
 
 
 class Filter:
@@ -102,9 +102,9 @@ class Linear:
         a[2, 9] = 1.0
         a[3, 3], a[7, 7], a[8, 8] = -c.valve_bandwidth, -0.1, -0.1
         a[4, 5] = a[5, 6] = a[11, 12] = 1.0
-        oil, lost = hydraulic * c.piston_area**2, c.viscous_damping + f.viscous_coefficient
+        lost = c.viscous_damping + f.viscous_coefficient
         a[12, :2] = np.array([p.coupling_stiffness, p.coupling_damping]) / p.actuator_mass
-        a[12, 11:] = -np.array([p.coupling_stiffness + oil, p.coupling_damping + lost]) / p.actuator_mass
+        a[12, 11:] = -np.array([p.coupling_stiffness + p.actuator_stiffness, p.coupling_damping + lost]) / p.actuator_mass
         self.a = a
         self.b = np.zeros(STATES)
         self.b[3] = c.valve_bandwidth * c.valve_gain
@@ -199,12 +199,12 @@ def test_the_force_on_the_piston_does_not_step_where_the_actuator_begins_or_ends
     found.observe(reading(0.05, 1e6))
     y = found.state.mean
     y[V] = 0.2
-    yielding, before = 2e6 / (2e6 + state_estimator.oil_stiffness(rig.plant)), force()
+    yielding, before = 2e6 / (2e6 + 1e7), force()
     assert y[YIELD] == pytest.approx(yielding * 0.05)
-    in_python(state_estimator.let_yield)(found.model, immovable, found.state)
+    in_python(state_estimator.let_yield)(immovable, found.state)
     assert (y[YIELD], y[YIELD_RATE], force()) == (0.0, 0.0, pytest.approx(before))
     assert not np.any(found.state.covariance[:, [YIELD, YIELD_RATE]])
-    in_python(state_estimator.let_yield)(found.model, found.p, found.state)
+    in_python(state_estimator.let_yield)(found.p, found.state)
     assert (y[YIELD], y[YIELD_RATE], force()) == pytest.approx((yielding * 0.05, yielding * 0.2, before))
 
 

@@ -16,9 +16,10 @@ from ehls_ros.control import reaching_law, state_estimator
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching_law import tracking as surface_tracking
-from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, PAPER_DELAY, PAPER_PLANT
+from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, PAPER_DELAY, PAPER_OIL_STIFFNESS, PAPER_PLANT
 from ehls_ros.control.state_estimator import (
     ActuatorMass,
+    ActuatorStiffness,
     Assumptions,
     DischargeNoise,
     FlowNoise,
@@ -94,6 +95,7 @@ class Parameters(NamedTuple):
     flow_noise: FlowNoise = 1e7
     offset_noise: OffsetNoise = 30.0
     actuator_mass: ActuatorMass = PAPER_PLANT.moving_mass
+    actuator_stiffness: ActuatorStiffness = PAPER_OIL_STIFFNESS
 
 
 def memory(p: Parameters) -> Array:
@@ -127,6 +129,7 @@ def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> A
         p.flow_noise,
         p.offset_noise,
         yielding_mass(p.actuator_mass, state),
+        p.actuator_stiffness,
     )
 
 
