@@ -97,8 +97,8 @@ class _Weakened:
 
     def __init__(self, plant: Simulator, gain: float, lost: int) -> None:
         self._plant, self._gain, self._lost, self._held = plant, gain, lost, 0.0
-        self.truth = plant.truth
-        self.measure = plant.measure
+        self.truth, self.acting = plant.truth, plant.acting
+        self.measure, self.trouble = plant.measure, plant.trouble
 
     def advance(self, command: float, *row: float) -> int:
         """Advance by a cycle."""

@@ -24,6 +24,7 @@ from ehls_ros.control.state_estimator import (
     VALVE_GAIN,
     Assumptions,
     State,
+    coupling_force,
     foresee,
     move,
     observe,
@@ -33,7 +34,7 @@ from ehls_ros.control.state_estimator import (
     supply_of,
 )
 from ehls_ros.physics import sensors
-from ehls_ros.physics.plant import PL, XV, V, X
+from ehls_ros.physics.plant import PL, XV
 from ehls_ros.schema import quantity
 
 TRIALS = 2
@@ -150,7 +151,7 @@ def answer(m: Array, r: Array, surface: Surface, model: Model, p: Assumptions, m
     status[base.E3] = error
     status[base.S] = sliding_variable(error, (state.work[0, PL] - r[1] / area) * 1e-6, surface)
     status[base.ALPHA] = status[base.BETA] = 1.0
-    status[base.DELTA] = y[EXTERNAL] + p.coupling_stiffness * y[X] + p.coupling_damping * y[V]
+    status[base.DELTA] = y[EXTERNAL] + coupling_force(y, p)
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
     # The filter cannot recover from numbers out of range: reset it for the next measurement.

@@ -98,6 +98,7 @@ def largest_speed(plant: Plant, spool: float) -> float:
 PAPER_PRESSURE = PAPER_PLANT.supply_pressure
 PAPER_FORCE = in_python(largest_force)(PAPER_PLANT)
 PAPER_COMPRESSION = in_python(compression)(PAPER_PLANT)
+PAPER_OIL_STIFFNESS = PAPER_COMPRESSION * PAPER_PLANT.piston_area
 PAPER_SPEED = in_python(largest_speed)(PAPER_PLANT, PAPER_SPOOL)
 
 

@@ -85,7 +85,8 @@ class Motion(NamedTuple):
 
 def piston(model: Model, stiffness: float, damping: float) -> Piston:
     """Return a piston at rest at 0, held by a spring [N/m] and a damper [N s/m]."""
-    held = Assumptions(stiffness, damping, *([0.0] * (len(Assumptions._fields) - 2)))
+    zeros = Assumptions._make([0.0] * len(Assumptions._fields))
+    held = zeros._replace(coupling_stiffness=stiffness, coupling_damping=damping, actuator_mass=math.inf)
     return Piston(model, held, np.zeros(LENGTH), np.zeros(MAX_ELEMENTS), np.zeros((5, LENGTH)))
 
 

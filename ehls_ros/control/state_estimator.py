@@ -1,13 +1,18 @@
 """Estimate the unmeasured states of a rig by an extended Kalman filter, and predict them over the command's delay.
 
     x'  = v
-    m v' = Ac pL - (B0 + sigma_f + cc) v - (ks + kc) x - m g - sum F_i - d        (3)
+    m v' = Ac pL - (B0 + sigma_f) v - ks x - m g - sum F_i - R - d                (3)
     pL' = -e1 v - e2 pL + (1 + c) e3 sqrt(ps - sgn(xv) pL) xv + q                 (25)
     xv' = omega_v (Kv (1 + b) u(t - delay) - xv)                                  (4)
+    x_a' = v_a
+    m_a v_a' = R - kh x_a - (B0 + sigma_f) v_a,  R = kc (x - x_a) + cc (v - v_a)
     b' = -b/tau + white noise,  c' = -c/tau + white noise,  d''', q', o' = white noise
 
 Position, load pressure, spool and force are measured, with force = Ac pL + o. The surroundings are a spring kc and a damper cc
-with a moving far end. The values of kc and cc are known; the motion of the far end is part of d. The states b and c are the
+to the actuator under test. The values of kc and cc are known. The actuator yields by x_a to the force R of the coupling, as its
+mass m_a lies on the stiffness kh of its oil; by default, valve and cylinder are taken to be like the loader's. The force
+of the motion that it makes of its own accord is d, since both motions superpose. A model with an immovable actuator is false at
+the frequencies of both masses on coupling and oil, and a loop with a delay then oscillates at them. The states b and c are the
 errors of valve gain and discharge coefficient. The states q and o are the unmodelled flow and the offset of the load cell. The
 friction elements F_i follow the estimated velocity by (6) and (8). While they stick, a correction of the position also corrects
 them. The velocity is observed mainly through the load pressure. Its change in a cycle resolves 0.2 um of motion, the position
@@ -26,7 +31,7 @@ from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, copy, kernel, separate_kernel
 from ehls_ros.control.controllers.base import MIN_DROP, Model
-from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPEED, largest_force, largest_speed
+from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPEED, compression, largest_force, largest_speed
 from ehls_ros.physics import sensors
 from ehls_ros.physics.equations import applied_force, load_flow, load_pressure_rate, spool_rate
 from ehls_ros.physics.friction.base import sign
@@ -38,8 +43,10 @@ from ehls_ros.schema import quantity
 FRICTION_MODEL = "gms"
 """Friction model in the filter. Its elements are linear in sticking and in slipping, as required for the covariance."""
 
-EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, DISCHARGE, FLOW_ERROR, CELL_OFFSET, STATES = range(4, 12)
-"""Indices in the mean of d with its two rates, b, c, q and o, and number of states. The plant's x, v, pL and xv come first."""
+EXTERNAL, EXTERNAL_RATE, EXTERNAL_CURVATURE, VALVE_GAIN, DISCHARGE, FLOW_ERROR, CELL_OFFSET = range(4, 11)
+YIELD, YIELD_RATE, STATES = range(11, 14)
+"""Indices in the mean of d with its two rates, b, c, q, o, x_a and v_a, and number of states. The plant's x, v, pL and xv come
+first."""
 
 MAX_ELEMENTS = 16
 """Maximum number of modelled friction elements; the force of further ones counts as external force."""
@@ -62,7 +69,7 @@ GAIN_ERROR_TIME = 10.0
 _LENGTH = STATES + MAX_ELEMENTS
 _MATRIX = STATES * STATES
 _EXPECTED = 4
-MEMORY_SIZE = 1 + 2 * (_LENGTH + MAX_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * STORED_COMMANDS + _EXPECTED
+MEMORY_SIZE = 1 + 2 * (_LENGTH + MAX_ELEMENTS) + 5 * _LENGTH + 4 * _MATRIX + STATES + 2 * STORED_COMMANDS + _EXPECTED + 1
 
 
 MotionNoise = Annotated[
@@ -103,6 +110,17 @@ LeastOpening = Annotated[
 ]
 FlowNoise = Annotated[float, quantity("Pa/s^3/2", "noise of the flow's error", minimum=0.0, maximum=1e12, scale="pressure")]
 OffsetNoise = Annotated[float, quantity("N/s^1/2", "noise of the load cell's offset", minimum=0.0, maximum=1e6, scale="force")]
+ActuatorMass = Annotated[float, quantity("kg", "moving mass of the actuator under test", above=0.0, maximum=1e5, scale="mass")]
+ActuatorStiffness = Annotated[
+    float,
+    quantity(
+        "N/m",
+        "stiffness of the oil of the actuator under test",
+        above=0.0,
+        maximum=1e12,
+        scale="force * compression / pressure",
+    ),
+]
 
 
 class Assumptions(NamedTuple):
@@ -125,6 +143,8 @@ class Assumptions(NamedTuple):
         least_opening: smallest valve opening for estimating c from its flow [m].
         flow_noise: root of the spectral density of the rate of the flow's error [Pa/s^3/2].
         offset_noise: likewise of the rate of the load cell's offset [N/s^1/2].
+        actuator_mass: m_a [kg]; infinite for an actuator that does not yield.
+        actuator_stiffness: kh [N/m].
     """
 
     coupling_stiffness: float
@@ -143,6 +163,8 @@ class Assumptions(NamedTuple):
     least_opening: float
     flow_noise: float
     offset_noise: float
+    actuator_mass: float
+    actuator_stiffness: float
 
 
 class State(NamedTuple):
@@ -161,6 +183,7 @@ class State(NamedTuple):
         matrices: scratch, shape (3, STATES, STATES).
         gain: scratch, shape (STATES,).
         expected: external force foreseen for the last cycle and its two derivatives, and 1 if there was one.
+        yields: 1 while the actuator under test yields in the model, shape (1,).
     """
 
     started: Array
@@ -175,6 +198,7 @@ class State(NamedTuple):
     matrices: Array
     gain: Array
     expected: Array
+    yields: Array
 
 
 @kernel
@@ -200,7 +224,14 @@ def state_of(memory: Array) -> State:
         memory[matrices:gain].reshape((3, STATES, STATES)),
         memory[gain : gain + STATES],
         memory[gain + STATES : gain + STATES + _EXPECTED],
+        memory[gain + STATES + _EXPECTED : gain + STATES + _EXPECTED + 1],
     )
+
+
+@kernel
+def coupling_force(y: Array, p: Assumptions) -> float:
+    """Return R for a mean [N]."""
+    return p.coupling_stiffness * (y[X] - y[YIELD]) + p.coupling_damping * (y[V] - y[YIELD_RATE])
 
 
 @kernel
@@ -232,13 +263,15 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
             rate[STATES + i] = friction.element_stiffness[i] * y[V]  # (6)
         else:
             rate[STATES + i] = friction.attraction_rate * (mode[i] * friction.element_weight[i] - force / level)  # (8)
-    around = -p.coupling_stiffness * y[X] - p.coupling_damping * y[V]
+    coupled = coupling_force(y, p)
+    held = p.actuator_stiffness * y[YIELD] + (plant.viscous_damping + friction.viscous_coefficient) * y[YIELD_RATE]
     side = 1.0 if y[XV] >= 0.0 else -1.0
     flow = (1.0 + y[DISCHARGE]) * load_flow(y[XV], side, y[PL], supply, plant)
     rate[X] = y[V]
-    rate[V] = (applied_force(y[X], y[V], y[PL], y[EXTERNAL], around, plant) - resisting) / plant.moving_mass
+    rate[V] = (applied_force(y[X], y[V], y[PL], y[EXTERNAL], -coupled, plant) - resisting) / plant.moving_mass
     rate[PL] = load_pressure_rate(flow, y[V], y[PL], 0.0, plant.bulk_modulus, plant) + y[FLOW_ERROR]
     rate[XV] = spool_rate(y[XV], (1.0 + y[VALVE_GAIN]) * command, plant)
+    rate[YIELD], rate[YIELD_RATE] = y[YIELD_RATE], (coupled - held) / p.actuator_mass
     rate[EXTERNAL], rate[EXTERNAL_RATE] = y[EXTERNAL_RATE], y[EXTERNAL_CURVATURE]
     rate[VALVE_GAIN] = -y[VALVE_GAIN] / GAIN_ERROR_TIME
     rate[DISCHARGE] = -y[DISCHARGE] / GAIN_ERROR_TIME
@@ -260,13 +293,13 @@ def switch(y: Array, mode: Array, friction: Friction) -> None:
 
 @kernel
 def fastest_mode(model: Model, p: Assumptions) -> float:
-    """Return the larger of the valve's bandwidth and the frequency of the oil column, all elements sticking [rad/s]."""
+    """Return the largest of the valve's bandwidth and the frequencies of both pistons, all elements sticking [rad/s]."""
     plant = model.plant
-    stiffness = plant.spring_stiffness + p.coupling_stiffness
-    stiffness += 4.0 * plant.bulk_modulus * plant.piston_area * plant.piston_area / plant.total_volume
+    actuator = math.sqrt((p.coupling_stiffness + p.actuator_stiffness) / p.actuator_mass)
+    stiffness = plant.spring_stiffness + p.coupling_stiffness + compression(plant) * plant.piston_area
     for i in range(elements(model.friction)):
         stiffness += model.friction.element_stiffness[i]
-    return max(math.sqrt(stiffness / plant.moving_mass), plant.valve_bandwidth)
+    return max(math.sqrt(stiffness / plant.moving_mass), actuator, plant.valve_bandwidth)
 
 
 @separate_kernel
@@ -311,6 +344,7 @@ def arrived(t: float, delay: float, state: State) -> tuple[float, float]:
 def linearise(state: State, command: float, supply: float, model: Model, p: Assumptions, jacobian: Array) -> None:
     """Write the Jacobian of the equations at the mean, including the stiffness of sticking elements."""
     plant, friction, y = model.plant, model.friction, state.mean
+    damping = plant.viscous_damping + friction.viscous_coefficient
     stiffness = plant.spring_stiffness + p.coupling_stiffness
     for i in range(elements(friction)):
         if state.mode[i] == 0.0:
@@ -321,13 +355,18 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     nominal_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
     flow_gain = (1.0 + y[DISCHARGE]) * nominal_gain
     jacobian[:] = 0.0
-    jacobian[X, V] = jacobian[EXTERNAL, EXTERNAL_RATE] = jacobian[EXTERNAL_RATE, EXTERNAL_CURVATURE] = jacobian[
-        PL, FLOW_ERROR
-    ] = 1.0
+    jacobian[X, V] = jacobian[YIELD, YIELD_RATE] = jacobian[PL, FLOW_ERROR] = 1.0
+    jacobian[EXTERNAL, EXTERNAL_RATE] = jacobian[EXTERNAL_RATE, EXTERNAL_CURVATURE] = 1.0
     jacobian[V, X] = -stiffness / plant.moving_mass
-    jacobian[V, V] = -(plant.viscous_damping + friction.viscous_coefficient + p.coupling_damping) / plant.moving_mass
+    jacobian[V, V] = -(damping + p.coupling_damping) / plant.moving_mass
     jacobian[V, PL] = plant.piston_area / plant.moving_mass
     jacobian[V, EXTERNAL] = -1.0 / plant.moving_mass
+    jacobian[V, YIELD] = p.coupling_stiffness / plant.moving_mass
+    jacobian[V, YIELD_RATE] = p.coupling_damping / plant.moving_mass
+    jacobian[YIELD_RATE, X] = p.coupling_stiffness / p.actuator_mass
+    jacobian[YIELD_RATE, V] = p.coupling_damping / p.actuator_mass
+    jacobian[YIELD_RATE, YIELD] = -(p.coupling_stiffness + p.actuator_stiffness) / p.actuator_mass
+    jacobian[YIELD_RATE, YIELD_RATE] = -(damping + p.coupling_damping) / p.actuator_mass
     jacobian[PL, V] = -hydraulic * plant.piston_area
     jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + flow_gain * abs(y[XV]) / (2.0 * drop))
     jacobian[PL, XV] = hydraulic * flow_gain
@@ -340,14 +379,16 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
 
 @kernel
 def multiply(a: Array, b: Array, product: Array) -> None:
-    """Write the product of two square matrices."""
+    """Write the product of two square matrices, the first of which is sparse."""
     size = len(a)
     for i in range(size):
         for j in range(size):
             product[i, j] = 0.0
         for k in range(size):
-            for j in range(size):
-                product[i, j] += a[i, k] * b[k, j]
+            factor = a[i, k]
+            if factor != 0.0:
+                for j in range(size):
+                    product[i, j] += factor * b[k, j]
 
 
 @separate_kernel
@@ -373,6 +414,7 @@ def spread(state: State, command: float, supply: float, duration: float, model: 
                 total += product[i, k] * transition[j, k]
             covariance[i, j] = covariance[j, i] = total
     covariance[V, V] += (p.motion_noise / model.plant.moving_mass) ** 2 * duration
+    covariance[YIELD_RATE, YIELD_RATE] += (p.motion_noise / p.actuator_mass) ** 2 * duration
     covariance[PL, PL] += p.oil_noise**2 * duration
     covariance[XV, XV] += p.valve_noise**2 * duration
     covariance[EXTERNAL_CURVATURE, EXTERNAL_CURVATURE] += p.external_noise**2 * duration
@@ -452,9 +494,34 @@ def start(measured: Array, model: Model, p: Assumptions, state: State) -> None:
         FIRST_FLOW * pressure,
         FIRST_OFFSET * force,
     )
-    for i in range(STATES):
+    for i in range(len(deviations)):
         covariance[i, i] = deviations[i] ** 2
     state.started[0] = 1.0
+
+
+@kernel
+def let_yield(p: Assumptions, state: State) -> None:
+    """Begin or end the yielding of the actuator under test in the model, without a step of the force on the piston.
+
+    It begins in balance with the piston. A yielding that is not modelled is part of d.
+    """
+    yields = 1.0 if math.isfinite(p.actuator_mass) else 0.0
+    if yields == state.yields[0]:
+        return
+    y, covariance = state.mean, state.covariance
+    before = coupling_force(y, p)
+    part = yields * p.coupling_stiffness / (p.coupling_stiffness + p.actuator_stiffness)
+    y[YIELD], y[YIELD_RATE] = part * y[X], part * y[V]
+    y[EXTERNAL] += before - coupling_force(y, p)
+    for i in range(STATES):
+        covariance[YIELD, i] = covariance[i, YIELD] = covariance[YIELD_RATE, i] = covariance[i, YIELD_RATE] = 0.0
+    state.yields[0] = yields
+
+
+@kernel
+def yielding_mass(mass: float, state: State) -> float:
+    """Return the mass of the actuator under test in the model [kg]; a foreseen external force includes its yielding."""
+    return math.inf if state.expected[3] == 1.0 else mass
 
 
 @kernel
@@ -511,9 +578,11 @@ def observe(measured: Array, foreseen: Array, model: Model, p: Assumptions, stat
         if not math.isfinite(sum_read):
             return False
         start(measured, model, p, state)
+        let_yield(p, state)
         expect(foreseen, model.period, state)
         state.mean[EXTERNAL_RATE], state.mean[EXTERNAL_CURVATURE] = state.expected[1], state.expected[2]
         return True
+    let_yield(p, state)
     advance(supply_of(measured, model), model, p, state)
     expect(foreseen, model.period, state)
     position = state.mean[X]

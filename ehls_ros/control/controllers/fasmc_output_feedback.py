@@ -16,8 +16,10 @@ from ehls_ros.control import reaching_law, state_estimator
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching_law import tracking as surface_tracking
-from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, PAPER_DELAY
+from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, PAPER_DELAY, PAPER_OIL_STIFFNESS, PAPER_PLANT
 from ehls_ros.control.state_estimator import (
+    ActuatorMass,
+    ActuatorStiffness,
     Assumptions,
     DischargeNoise,
     FlowNoise,
@@ -29,6 +31,7 @@ from ehls_ros.control.state_estimator import (
     State,
     ValveNoise,
     state_of,
+    yielding_mass,
 )
 from ehls_ros.schema import quantity
 
@@ -91,6 +94,8 @@ class Parameters(NamedTuple):
     least_opening: LeastOpening = 5e-4
     flow_noise: FlowNoise = 1e7
     offset_noise: OffsetNoise = 30.0
+    actuator_mass: ActuatorMass = PAPER_PLANT.moving_mass
+    actuator_stiffness: ActuatorStiffness = PAPER_OIL_STIFFNESS
 
 
 def memory(p: Parameters) -> Array:
@@ -123,6 +128,8 @@ def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> A
         p.least_opening,
         p.flow_noise,
         p.offset_noise,
+        yielding_mass(p.actuator_mass, state),
+        p.actuator_stiffness,
     )
 
 

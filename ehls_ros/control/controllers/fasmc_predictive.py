@@ -22,9 +22,11 @@ from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.process_noise import ProcessNoise, external_noise
 from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching_law import tracking as surface_tracking
-from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_PRESSURE, PAPER_SPOOL, largest_force
+from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_OIL_STIFFNESS, PAPER_PLANT, PAPER_PRESSURE, PAPER_SPOOL, largest_force
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
+    ActuatorMass,
+    ActuatorStiffness,
     Assumptions,
     DischargeNoise,
     FlowNoise,
@@ -36,6 +38,7 @@ from ehls_ros.control.state_estimator import (
     State,
     ValveNoise,
     state_of,
+    yielding_mass,
 )
 from ehls_ros.physics.plant import V
 from ehls_ros.schema import quantity
@@ -107,6 +110,8 @@ class Parameters(NamedTuple):
     least_opening: LeastOpening = 1e-4
     flow_noise: FlowNoise = 1e6
     offset_noise: OffsetNoise = 30.0
+    actuator_mass: ActuatorMass = PAPER_PLANT.moving_mass
+    actuator_stiffness: ActuatorStiffness = PAPER_OIL_STIFFNESS
 
 
 def memory(p: Parameters) -> Array:
@@ -143,6 +148,8 @@ def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> A
         p.least_opening,
         p.flow_noise,
         p.offset_noise,
+        yielding_mass(p.actuator_mass, state),
+        p.actuator_stiffness,
     )
 
 

@@ -213,6 +213,8 @@ def build(law: PreviewLaw) -> Compiled:
             if state.started[0] == 0.0:
                 if math.isfinite(m[sensors.POSITION] + m[sensors.LOAD_PRESSURE] + m[sensors.SPOOL]):
                     start(m, model, taken, state)
+                    # The whole force is learnt, as a foreseen one includes the yielding of the actuator under test.
+                    state.expected[3] = 1.0
                     n = 0
                     history.transitions[n] = 0.0
                     history.readings[n, :, INNOVATION] = math.nan
