@@ -8,6 +8,7 @@ are parameters of the effect, so that simulator, controllers and reports use it 
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
-from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit, Start, Worker
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
@@ -27,7 +28,7 @@ from ehls_ros.diagnosis.record import COMMAND
 from ehls_ros.diagnosis.remainder import remainders, with_allowances
 from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.diagnosis.search import Searched, fitted, given_model, inflations
-from ehls_ros.diagnosis.stages import CHANNELS, Stage
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.starts import combined
 from ehls_ros.diagnosis.term_formula import SIZES, Formula, Table, formulas, shapes_of, value_of
 from ehls_ros.diagnosis.term_proposals import (
@@ -36,6 +37,7 @@ from ehls_ros.diagnosis.term_proposals import (
     PLACES,
     SIGNAL_OF,
     TIME_KNOTS,
+    Asked,
     Proposal,
     asked_in,
     proposals,
@@ -117,7 +119,7 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     evidence = pool.evidence
     nothing = given_model(evidence)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
-    inside = [asked_in(evidence, channel) for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
+    inside = asked_about(evidence, stage)
     linearised, begun = dict[tuple[object, ...], list[Fit]](), list[tuple[Assessment, Proposal, Start]]()
     for base in bases.values():
         proposed = {p.key: p for asked in inside for p in proposals(asked, base.held_out.residuals.values[asked.channel])}
@@ -148,6 +150,16 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
         return None
     return Described(offer.more, offer.base, _term(evidence, offer), others)
+
+
+def asked_about(evidence: Evidence, stage: Stage) -> list[Asked]:
+    """Return the channels of a stage in which terms can act, prepared for proposals."""
+    worker = Worker(evidence)
+    return [
+        asked_in(evidence, channel, cache(partial(_windows, worker, channel)))
+        for channel in evidence.channels
+        if CHANNELS[channel] == stage and channel in PLACES
+    ]
 
 
 def _equally_good(evidence: Evidence, found: Sequence[Assessment], simpler: Assessment) -> list[int]:
@@ -342,6 +354,15 @@ def _candidate(
         tuple(declared[name].unit for name in free),
         np.array([neutral.get(name, value) for name, value in zip(free, start.tolist(), strict=True)]),
     )
+
+
+def _windows(worker: Worker, channel: Channel, proposal: Proposal) -> Array:
+    """Return a channel's windows for each value of a table, from runs of the model, shape (windows, knots)."""
+    block, floor = worker.evidence.block, worker.evidence.floor[channel]
+    fit = _linearised(worker, candidate_of(proposal))
+    if fit is None or channel not in fit.channels:
+        return np.zeros((len(floor), proposal.knots))
+    return floor[:, np.newaxis] * fit.jacobian[sections(block, fit.channels)[channel], -proposal.knots :]
 
 
 def _linearised(worker: Worker, candidate: Candidate) -> Fit | None:

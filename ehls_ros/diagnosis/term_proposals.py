@@ -28,6 +28,9 @@ from ehls_ros.samples import Mask
 ERROR, DISPLACEMENT = "error", "displacement"
 """Command less spool displacement, and spool displacement, as arguments at the valve's input."""
 
+FRICTION = "empirical_friction"
+"""The term whose level friction approaches while it slides."""
+
 
 class Place(NamedTuple):
     """Arguments of the terms in a place.
@@ -56,7 +59,7 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
             {"position": (0.1, 0.5, 2.0), "velocity": (0.005, 0.05)},
             ("position",),
         ),
-        "empirical_friction": Place(
+        FRICTION: Place(
             ("position", "speed", "pressure", "time", "temperature"), (("position", "pressure"), ("speed", "pressure"))
         ),
     },
@@ -215,6 +218,7 @@ class Asked(NamedTuple):
         direction: direction of motion in the windows; None without a motion.
         turning: speed within which it turns [m/s].
         waves: waves along the stroke; None where no term repeats along it.
+        friction: returns the windows for each value of a table of friction, which follows its level only while it slides.
     """
 
     evidence: Evidence
@@ -224,10 +228,17 @@ class Asked(NamedTuple):
     direction: Array | None
     turning: float
     waves: Waves | None
+    friction: Callable[[Proposal], Array]
 
 
-def asked_in(evidence: Evidence, channel: Channel) -> Asked:
-    """Return a channel prepared for proposals of its terms."""
+def asked_in(evidence: Evidence, channel: Channel, friction: Callable[[Proposal], Array]) -> Asked:
+    """Return a channel prepared for proposals of its terms.
+
+    Args:
+        evidence: the recording compared with the given model.
+        channel: the channel.
+        friction: returns the windows for each value of a table of friction, shape (windows, knots).
+    """
     along, respond = signals_along(evidence.comparison(), evidence.rig), _respond(evidence, channel)
     signals = {name: along[signal] for name, signal in SIGNAL_OF.items() if signal in along}
     if "speed" in signals:
@@ -239,7 +250,7 @@ def asked_in(evidence: Evidence, channel: Channel) -> Asked:
     repeats = any("position" in place.single for place in PLACES[channel].values())
     position = signals.get("position")
     waves = waves_along(respond, position) if repeats and position is not None and np.ptp(position) > 0.0 else None
-    return Asked(evidence, channel, respond, signals, direction, turning, waves)
+    return Asked(evidence, channel, respond, signals, direction, turning, waves, friction)
 
 
 def turns(evidence: Evidence, channel: Channel, velocity: Array) -> tuple[float, Array | None]:
@@ -336,12 +347,12 @@ def _argument(asked: Asked, p: Proposal) -> Array:
 
 def _columns(asked: Asked, p: Proposal, values: Array, knots: int) -> Array:
     """Return the windows for each value of a table, shape (windows, knots)."""
+    if p.effect == FRICTION:
+        return asked.friction(p._replace(knots=knots))
     at = np.linspace(p.low, p.high, knots)
     times = asked.signals[p.factor] / p.factor_reach if p.factor else 1.0
     columns = np.stack([asked.respond(np.interp(values, at, row) * times) for row in np.eye(knots)], axis=1)
-    # Friction opposes the motion.
-    turned = p.direction > 0.0 or p.effect == "empirical_friction"
-    return columns * asked.direction[:, np.newaxis] if turned and asked.direction is not None else columns
+    return columns * asked.direction[:, np.newaxis] if p.direction > 0.0 and asked.direction is not None else columns
 
 
 def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[float, ...]:
@@ -360,7 +371,8 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
         alike: effect, argument, factor, memory and direction.
         target: the remainder, shape (windows,).
     """
-    turned = alike.direction > 0.0 or alike.effect == "empirical_friction"
+    # Friction opposes the motion.
+    turned = alike.direction > 0.0 or alike.effect == FRICTION
     if alike.argument not in asked.signals or (turned and asked.direction is None):
         return []
     evidence, channel = asked.evidence, asked.channel
@@ -382,14 +394,22 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
     if not alike.simple:
         return out
     along = target * asked.direction if turned and asked.direction is not None else target
-    part = concentrated(means, along, low, high)
+    seen = along
+    if alike.effect == FRICTION:
+        # Friction keeps the level of one place until it has slid on: the remainder itself is not concentrated there.
+        means = np.linspace(low, high, 2 * CELLS)
+        seen = np.interp(means, np.linspace(low, high, fine), _values(asked, alike, target, fine))
+    part = concentrated(means, seen, low, high)
     if part is not None and alike.argument != "time":
         narrow = alike._replace(low=part[0], high=part[1], knots=supported(values, *part, fine))
         share = explained_by(_columns(asked, narrow, values, narrow.knots), target, even)
         out.append(narrow._replace(share=max(share, rules.DEPENDS)))
     if alike.argument == "position" and asked.waves is not None:
         number, share = asked.waves.strongest(along, even)
-        out.append(alike._replace(share=share, low=0.0, high=float(np.ptp(values)) / number, periodic=True, knots=fine))
+        repeating = alike._replace(low=0.0, high=float(np.ptp(values)) / number, periodic=True, knots=fine)
+        if alike.effect == FRICTION:
+            share = explained_by(_columns(asked, repeating, values, fine), target, even)
+        out.append(repeating._replace(share=share))
     elif alike.argument == "time":
         size = float(np.sqrt(np.mean(along**2))) or 1.0
         for frequency in spectral_lines(along / size, evidence.times[channel], 1):

@@ -8,8 +8,20 @@ import yaml
 
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.empirical import candidate_of
-from ehls_ros.diagnosis.term_proposals import Proposal, concentrated, lag_of, play_of, supported, waves_along
+from ehls_ros.diagnosis.empirical import asked_about, candidate_of
+from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.stages import setup
+from ehls_ros.diagnosis.term_proposals import (
+    FRICTION,
+    Proposal,
+    concentrated,
+    lag_of,
+    play_of,
+    proposals,
+    supported,
+    waves_along,
+)
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -95,6 +107,16 @@ def test_the_part_of_a_range_that_holds_a_remainder_is_found():
     assert -0.1 < low < 0.026
     assert 0.034 < high < 0.06
     assert concentrated(means, np.sin(20.0 * means), -0.1, 0.1) is None
+
+
+def test_friction_that_is_higher_at_one_place_is_proposed_over_the_position():
+    patch = {"force": 1000.0, "position": -0.01, "width": 0.01}
+    record = prepare(recorded("rich", stick_patch=patch), RIG, "patch")
+    evidence = gather(record, RIG, setup(record, RIG), 0)
+    (asked,) = asked_about(evidence, "force_balance")
+    best = proposals(asked, evidence.base.values["force"])[0]
+    assert (best.effect, best.argument, best.periodic) == (FRICTION, "position", False)
+    assert best.share > 0.5
 
 
 def test_the_period_that_predicts_a_remainder_is_found():
