@@ -19,7 +19,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.dependence import explained_by, signals_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.diagnosis.starts import spectral_lines
 from ehls_ros.physics.effects._table import KNOTS
@@ -80,7 +80,7 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
     },
     "cell": {
         "empirical_pressure_reading": Place(
-            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),)
+            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),), {}, ("pressure",)
         ),
         "empirical_force_reading": Place(
             ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),)
@@ -245,6 +245,9 @@ def asked_in(evidence: Evidence, channel: Channel, friction: Callable[[Proposal]
         signals["speed"] = np.abs(signals["speed"])
     if channel == "spool":
         signals["spool"], signals[ERROR] = along[COMMAND], along[COMMAND] - along[SPOOL]
+    if channel == "cell":
+        # Inside a hysteresis of the pressure sensor, its reading stays where it was.
+        signals["pressure"] = evidence.record.values(FORCE) / evidence.rig.effective().plant.piston_area
     velocity = signals.get("velocity")
     turning, direction = (0.0, None) if velocity is None else turns(evidence, channel, velocity)
     repeats = any("position" in place.single for place in PLACES[channel].values())

@@ -10,6 +10,8 @@ from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.empirical import asked_about, candidate_of
 from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.hypotheses import extended
+from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
 from ehls_ros.diagnosis.term_proposals import (
@@ -117,6 +119,20 @@ def test_friction_that_is_higher_at_one_place_is_proposed_over_the_position():
     best = proposals(asked, evidence.base.values["force"])[0]
     assert (best.effect, best.argument, best.periodic) == (FRICTION, "position", False)
     assert best.share > 0.5
+
+
+def test_a_hysteresis_of_the_pressure_sensor_is_known_from_the_load_cell():
+    record = prepare(recorded("rich", pressure_sensor_hysteresis={"half_width": 5e4}), RIG, "hysteresis")
+    evidence = gather(record, RIG, setup(record, RIG), 0)
+    (asked,) = (asked for asked in asked_about(evidence, "sensors") if asked.channel == "cell")
+    best = max(proposals(asked, evidence.base.values["cell"]), key=lambda p: p.share)
+    assert (best.effect, best.argument) == ("empirical_pressure_reading", "pressure")
+    assert best.play > 0.0
+    term = candidate_of(best._replace(low=-5e4, high=5e4, play=1e5))
+    values = np.array([1.0, *np.linspace(5e4, -5e4, best.knots)])
+    after = evidence.residuals(evidence.comparison(), extended(RIG, (term,), values))
+    for channel in ("cell", "volume", "force"):
+        assert closed(evidence.base.values[channel], after.values[channel], evidence.noise[channel]) > 0.95
 
 
 def test_the_period_that_predicts_a_remainder_is_found():
