@@ -59,9 +59,6 @@ MEMORY_RANGE = 10.0
 DEARER = 1.0 / rules.WORTHWHILE**2
 """Factor by which less of the error must remain with a term than with named causes for it to be offered in their place."""
 
-SKETCH_ERROR = 0.03
-"""Error of the values estimated for a table, as a fraction of their range."""
-
 SHOWN_POINTS, SLOPE_STEP = 41, 1e-4
 """Points of a formula's picture, and relative step of the difference quotients of its errors."""
 
@@ -234,7 +231,7 @@ def _sketched(proposal: Proposal) -> list[Candidate]:
         return []
     scale, values = _scale_of(proposal), np.array(proposal.sketch)
     at = (np.linspace(proposal.low, proposal.high, len(values)) - scale.zero) / scale.size
-    errors = (SKETCH_ERROR * max(float(np.ptp(values)), 1e-300)) ** 2 * np.eye(len(values))
+    errors = np.diag(np.square(proposal.sketch_std))
     return [_of_formula(proposal, scale, {}, f) for f in formulas(Table(at, values, errors, False, _signed(proposal)))]
 
 
@@ -251,10 +248,12 @@ def _signed(proposal: Proposal) -> bool:
 
 
 def _scale_of(proposal: Proposal) -> _Scale:
-    """Return the scale in which an argument reaches 1."""
+    """Return the scale in which an argument reaches 1, for a term that repeats after one period."""
     if proposal.play > 0.0:
         return _Scale(0.0, proposal.play)
     low, high = proposal.reach
+    if proposal.periodic:
+        return _Scale(0.0 if _signed(proposal) else low, proposal.high - proposal.low)
     return _Scale(0.0, max(abs(low), abs(high))) if _signed(proposal) else _Scale(low, high - low)
 
 

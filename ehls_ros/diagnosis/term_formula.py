@@ -64,8 +64,11 @@ class Formula(NamedTuple):
 REFINED, ROUNDS, TRIED = 14, 30, 3
 """Formulas that are fitted to the table, evaluations of each, and formulas that are fitted to the recording."""
 
-UNLIKE = 0.01
-"""Fraction of a table's range by which straight lines between its knots may differ from a formula."""
+KNOWN_PERIOD = 1e-6
+"""Relative change of a table's period up to which it stays in step with the recording, over a thousand periods and more."""
+
+UNLIKE = 0.07
+"""Fraction of a table's range by which the lines between its knots may differ from a formula, times the number of lines."""
 
 EXPONENTS, WIDTHS = (0.5, 1.0, 2.0, 3.0), (0.05, 0.2, 0.6)
 """Exponents, and widths as fractions of the table's span, from which shapes are fitted."""
@@ -97,7 +100,7 @@ def formulas(table: Table) -> list[Formula]:
     size = max(float(np.ptp(table.values)), 1e-300)
     # Where the data hardly determine some values, rounding leaves their covariance without a Cholesky root.
     variances, directions = np.linalg.eigh(0.5 * (table.covariance + table.covariance.T))
-    whitening = directions.T / np.sqrt(np.maximum(variances, 0.0) + (UNLIKE * size) ** 2)[:, np.newaxis]
+    whitening = directions.T / np.sqrt(np.maximum(variances, 0.0) + (UNLIKE * size / (len(table.at) - 1)) ** 2)[:, np.newaxis]
     shapes = _waves(table) if table.periodic else chain(*_shapes(table))
     starts = sorted((_sized(table, whitening, start) for start in shapes), key=lambda formula: formula.cost)
     best = dict[tuple[str, ...], Formula]()
@@ -191,7 +194,7 @@ def _fitted(table: Table, whitening: Array, start: Formula) -> Formula:
     if table.periodic:
         # The period is known from the recording much better than from the table.
         number, is_number = start.free["wave_number"], np.array([name == "wave_number" for name in names])
-        low, high = np.where(is_number, 0.999 * number, low), np.where(is_number, 1.001 * number, high)
+        low, high = (np.where(is_number, (1.0 + sign * KNOWN_PERIOD) * number, end) for sign, end in ((-1.0, low), (1.0, high)))
 
     def left(x: Array) -> Array:
         numbers = {**start.fixed, **dict(zip(names, (x * scale).tolist(), strict=True))}

@@ -178,6 +178,7 @@ class Proposal(NamedTuple):
         play: width of the play in whose gap the argument is taken, in the signal's unit; 0: none.
         start: its values at the knots, if it must be near them to be fitted.
         sketch: in that case also its values at :data:`SKETCHED` places from the first knot to the last.
+        sketch_std: their standard errors.
     """
 
     share: float
@@ -195,6 +196,7 @@ class Proposal(NamedTuple):
     play: float = 0.0
     start: tuple[float, ...] = ()
     sketch: tuple[float, ...] = ()
+    sketch_std: tuple[float, ...] = ()
 
     @property
     def simple(self) -> bool:
@@ -204,7 +206,7 @@ class Proposal(NamedTuple):
     @property
     def key(self) -> tuple[object, ...]:
         """What it is, apart from its values."""
-        return self[1:-2]
+        return self[1:-3]
 
 
 class Asked(NamedTuple):
@@ -315,10 +317,7 @@ def proposals(asked: Asked, e: Array) -> list[Proposal]:
     if asked.channel != "spool":
         return chosen
     # The spool's error feeds back, so that a table far from the right one may not lead to it.
-    return [
-        p._replace(start=_values(asked, p, e, p.knots), sketch=() if p.periodic else _values(asked, p, e, SKETCHED))
-        for p in chosen
-    ]
+    return [_estimated(asked, p, e) for p in chosen]
 
 
 def _variants(asked: Asked, effect: str, argument: str) -> tuple[float, ...]:
@@ -352,18 +351,37 @@ def _columns(asked: Asked, p: Proposal, values: Array, knots: int) -> Array:
     """Return the windows for each value of a table, shape (windows, knots)."""
     if p.effect == FRICTION:
         return asked.friction(p._replace(knots=knots))
-    at = np.linspace(p.low, p.high, knots)
     times = asked.signals[p.factor] / p.factor_reach if p.factor else 1.0
-    columns = np.stack([asked.respond(np.interp(values, at, row) * times) for row in np.eye(knots)], axis=1)
+    columns = np.stack([asked.respond(hat * times) for hat in hats(p, values, knots)], axis=1)
     return columns * asked.direction[:, np.newaxis] if p.direction > 0.0 and asked.direction is not None else columns
 
 
-def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[float, ...]:
-    """Return a table's values at a number of knots by regression on a remainder."""
+def hats(p: Proposal, values: Array, knots: int) -> Iterator[Array]:
+    """Yield the weight of each value of a table in the term at each sample, shape (samples,)."""
+    if p.periodic:
+        along, numbers = (values - p.low) / (p.high - p.low) % 1.0 * knots, np.arange(knots + 1)
+        yield from (np.interp(along, numbers, np.append(row, row[0])) for row in np.eye(knots))
+        return
+    # Beyond its ends a table goes on as it began, mirrored there.
+    at, inside = np.linspace(p.low, p.high, knots), np.clip(values, p.low, p.high)
+    yield from (2.0 * np.interp(inside, at, row) - np.interp(2.0 * inside - values, at, row) for row in np.eye(knots))
+
+
+def _estimated(asked: Asked, p: Proposal, e: Array) -> Proposal:
+    """Return a proposal with the values of its table, and with those of a finer one unless it repeats."""
+    start, _ = _values(asked, p, e, p.knots)
+    sketch, std = (np.empty(0), np.empty(0)) if p.periodic else _values(asked, p, e, SKETCHED)
+    return p._replace(start=tuple(start.tolist()), sketch=tuple(sketch.tolist()), sketch_std=tuple(std.tolist()))
+
+
+def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[Array, Array]:
+    """Return a table's values at a number of knots by regression on a remainder, and their standard errors."""
     columns = _columns(asked, p, _argument(asked, p), knots) / asked.evidence.floor[asked.channel][:, np.newaxis]
     normal = columns.T @ columns
     normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    return tuple(np.linalg.solve(normal, columns.T @ e).tolist())
+    inverse = np.linalg.inv(normal)
+    values = inverse @ (columns.T @ e)
+    return values, np.sqrt(np.diag(inverse) * power(e - columns @ values))
 
 
 def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
@@ -401,7 +419,7 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
     if alike.effect == FRICTION:
         # Friction keeps the level of one place until it has slid on: the remainder itself is not concentrated there.
         means = np.linspace(low, high, 2 * CELLS)
-        seen = np.interp(means, np.linspace(low, high, fine), _values(asked, alike, target, fine))
+        seen = np.interp(means, np.linspace(low, high, fine), _values(asked, alike, target, fine)[0])
     part = concentrated(means, seen, low, high)
     if part is not None and alike.argument != "time":
         narrow = alike._replace(low=part[0], high=part[1], knots=supported(values, *part, fine))

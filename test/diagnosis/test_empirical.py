@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from ehls_ros.arrays import in_python
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.empirical import asked_about, candidate_of
@@ -18,12 +19,15 @@ from ehls_ros.diagnosis.term_proposals import (
     FRICTION,
     Proposal,
     concentrated,
+    hats,
     lag_of,
     play_of,
     proposals,
     supported,
     waves_along,
 )
+from ehls_ros.physics.effects._table import looked_up
+from ehls_ros.physics.plant import X
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -88,6 +92,21 @@ def test_an_error_of_a_sensor_is_found_as_one_of_that_sensor():
     assert term.reading.power.exponent == pytest.approx(2.0, abs=0.1)
     assert set(found.gain.channels) > {"cell"}
     assert found.gain.closed_fraction > 0.95
+
+
+@pytest.mark.long
+def test_a_hum_of_a_thousand_periods_is_a_sine_of_its_amplitude():
+    term = diagnosed(mains_hum={"amplitude": 3e-5, "frequency": 50.0, "phase": 4.7}).term
+    assert (term.effect, term.argument, [shape.name for shape in term.formula]) == ("empirical_spool", "time_s", ["wave"])
+    assert term.period.value == pytest.approx(0.02, rel=1e-5)
+    assert term.reading.amplitude == pytest.approx(3e-5, rel=0.05)
+
+
+@pytest.mark.long
+def test_a_spool_of_limited_speed_is_found_although_its_largest_errors_are_a_hundred_times_larger():
+    found = diagnosed(spool_slew_limit={"rate": 5e-4})
+    assert (found.term.effect, found.term.argument, found.term.error) == ("empirical_spool", "spool_m", True)
+    assert found.gain.closed_fraction > 0.99
 
 
 @pytest.mark.long
@@ -168,6 +187,20 @@ def test_a_proposal_of_two_signals_with_a_memory_has_them_in_its_parameters():
     lagged = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 1e6, (-1e6, 1e6), lag=0.2))
     assert lagged.free[0] == "memory"
     assert lagged.starts[0, 0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_remainder_is_predicted_by_the_same_table_that_the_effect_has(periodic):
+    low = 0.0 if periodic else -0.01
+    proposal = Proposal(0.5, "empirical_force", "position", low, 0.03, (-0.05, 0.07), 8, periodic=periodic)
+    values = np.random.default_rng(4).standard_normal(8)
+    candidate = candidate_of(proposal)
+    p = candidate.use(np.concatenate([candidate.starts[0][: len(candidate.free) - 8], values])).parameters
+    at = np.linspace(-0.05, 0.07, 50)
+    states = np.zeros((len(at), 8))
+    states[:, X] = at
+    of_effect = [in_python(looked_up)(0.0, 0.0, y, np.zeros(8), np.zeros(1), p) for y in states]
+    assert values @ np.stack(list(hats(proposal, at, 8))) == pytest.approx(of_effect)
 
 
 def test_a_lag_and_a_play_begin_at_zero():
