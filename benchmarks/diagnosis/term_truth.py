@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.diagnosis.cases import rig
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.result import Term
 
@@ -71,10 +72,19 @@ def _place(width: str | float) -> Check:
 
 
 def _threshold(of: Callable[[Sizes], float]) -> Check:
-    """Return a check of the magnitude beyond which a term sets in or saturates."""
+    """Return a check of the magnitude beyond which a term sets in."""
 
     def check(term: Term, sizes: Sizes) -> bool:
         return any(_near(abs(place), of(sizes)) for place in _places(term) if place != 0.0)
+
+    return check
+
+
+def _limit(of: Callable[[Sizes], float]) -> Check:
+    """Return a check of the value at which a term ends beside a line."""
+
+    def check(term: Term, sizes: Sizes) -> bool:
+        return any(shape.name == "step" and _near(abs(shape.numbers["size"].value), of(sizes)) for shape in term.formula)
 
     return check
 
@@ -121,6 +131,10 @@ def _rises(term: Term, sizes: Sizes) -> bool:
     return term.reading.rise is not None and term.reading.rise > 0.0
 
 
+def _either(*checks: Check) -> Check:
+    return lambda term, sizes: any(check(term, sizes) for check in checks)
+
+
 def _every(*checks: Check) -> Check:
     return lambda term, sizes: all(check(term, sizes) for check in checks)
 
@@ -133,8 +147,10 @@ def _in_proportion(term: Term, sizes: Sizes) -> bool:
     return bool(term.factor)
 
 
-VALVE_RATE = 111.46
-"""Bandwidth of the valve [rad/s], by which a limit of its rate is one of its error."""
+def _error_at_limit(sizes: Sizes) -> float:
+    """Return the spool's error at which its speed reaches its limit [m]."""
+    return float(sizes["rate"]) / rig().plant.valve_bandwidth
+
 
 TRUTHS: Mapping[str, Truth] = {
     "quadratic_drag": Truth((VELOCITY,), _power(2.0, "odd")),
@@ -152,7 +168,7 @@ TRUTHS: Mapping[str, Truth] = {
     "lifting_seal": Truth((VELOCITY, PRESSURE), _every(_in_proportion, _rises)),
     "line_restriction": Truth((SPOOL, PRESSURE), _mirrored(-1.0)),
     "spool_stiction": Truth((COMMAND, SPOOL)),
-    "spool_slew_limit": Truth((SPOOL, COMMAND), _threshold(lambda sizes: sizes["rate"] / VALVE_RATE)),
+    "spool_slew_limit": Truth((SPOOL, COMMAND), _either(_threshold(_error_at_limit), _limit(_error_at_limit))),
     "valve_power_gain": Truth((COMMAND, SPOOL), _mirrored(-1.0)),
     "mains_hum": Truth((TIME,), _every(_period(lambda sizes: 1.0 / sizes["frequency"]), _amplitude("amplitude"))),
     "null_drift": Truth((TIME,), _changes_by(lambda sizes, t: sizes["drift"] * (1.0 - np.exp(-t / sizes["time_constant"])))),
