@@ -9,6 +9,7 @@ are parameters of the effect, so that simulator, controllers and reports use it 
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +59,12 @@ MEMORY_RANGE = 10.0
 
 DEARER = 1.0 / rules.WORTHWHILE**2
 """Factor by which less of the error must remain with a term than with named causes for it to be offered in their place."""
+
+FORMULA_REACH = rules.MAX_EXTRAPOLATION
+"""Distance from the middle of the data, in half ranges of theirs, up to which a formula over a signal with a zero goes on.
+
+Origin: as far as a recording is judged by its baselines; of a table, no value beyond the data is known.
+"""
 
 SHOWN_POINTS, SLOPE_STEP = 41, 1e-4
 """Points of a formula's picture, and relative step of the difference quotients of its errors."""
@@ -213,7 +220,7 @@ def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
     at = (_places(proposal, candidate, values) - scale.zero) / scale.size
     known = Table(at, values[table], covariance, proposal.periodic, _signed(proposal))
     memory = {name: value for name, value in zip(candidate.free, values.tolist(), strict=True) if name in MEMORIES}
-    fits = pool.map(_linearised, [_of_formula(proposal, scale, memory, formula) for formula in formulas(known)])
+    fits = pool.map(_linearised, [formula_of(proposal, formula, memory) for formula in formulas(known)])
     begun = [
         combined(evidence, beside.fit, fit)
         for fit in fits
@@ -232,7 +239,7 @@ def _sketched(proposal: Proposal) -> list[Candidate]:
     scale, values = _scale_of(proposal), np.array(proposal.sketch)
     at = (np.linspace(proposal.low, proposal.high, len(values)) - scale.zero) / scale.size
     errors = np.diag(np.square(proposal.sketch_std))
-    return [_of_formula(proposal, scale, {}, f) for f in formulas(Table(at, values, errors, False, _signed(proposal)))]
+    return [formula_of(proposal, f) for f in formulas(Table(at, values, errors, False, _signed(proposal)))]
 
 
 class _Scale(NamedTuple):
@@ -286,16 +293,16 @@ def candidate_of(proposal: Proposal) -> Candidate:
     return _candidate(proposal, free, fixed, bounds, dict.fromkeys(VALUES, 0.0))
 
 
-def _of_formula(proposal: Proposal, scale: _Scale, memory: Mapping[str, float], formula: Formula) -> Candidate:
+def formula_of(proposal: Proposal, formula: Formula, memory: Mapping[str, float] = MappingProxyType({})) -> Candidate:
     """Return the hypothesis of a formula in place of a table.
 
     Args:
         proposal: the table.
-        scale: of the formula's argument.
-        memory: fitted parameters of the table's memory and direction.
         formula: parameters of the formula.
+        memory: fitted parameters of the table's memory and direction.
     """
-    fixed = {**_argument(proposal, scale), **formula.fixed, "knots": 0.0}
+    scale = _scale_of(proposal)
+    fixed = {**_argument(proposal, scale, FORMULA_REACH), **formula.fixed, "knots": 0.0}
     bounds = {**_memory_bounds(memory), **formula.bounds}
     if "wave_number" in formula.free:
         number = formula.free["wave_number"]
@@ -303,14 +310,23 @@ def _of_formula(proposal: Proposal, scale: _Scale, memory: Mapping[str, float], 
     return _candidate(proposal, {**memory, **formula.free}, fixed, bounds, dict.fromkeys(SIZES, 0.0))
 
 
-def _argument(proposal: Proposal, scale: _Scale) -> dict[str, float]:
-    """Return the parameters of a term's argument and factor, without those of a memory."""
+def _argument(proposal: Proposal, scale: _Scale, half_ranges: float = 1.0) -> dict[str, float]:
+    """Return the parameters of a term's argument and factor, without those of a memory.
+
+    Args:
+        proposal: the table.
+        scale: of the argument.
+        half_ranges: distance from the middle of the data up to which the term changes, in half ranges of theirs.
+    """
     size = 1.0 / scale.size
     weights = {_weight(proposal): size} | ({"per_error": -size} if proposal.argument == DISPLACEMENT else {})
     factor = {f"times_{proposal.factor}": 1.0 / proposal.factor_reach} if proposal.factor else {}
     if proposal.periodic:
         return {**weights, **factor, "offset": -scale.zero * size, "periodic": 1.0}
-    ends = (-MEMORY_RANGE * proposal.play, MEMORY_RANGE * proposal.play) if proposal.play > 0.0 else proposal.reach
+    low, high = proposal.reach
+    further = 0.5 * (high - low) * (half_ranges - 1.0) if _signed(proposal) else 0.0
+    play = MEMORY_RANGE * proposal.play
+    ends = (-play, play) if play > 0.0 else (low - further, high + further)
     lowest, highest = ((end - scale.zero) * size for end in ends)
     reach = {"lowest": float(np.clip(lowest, -10.0, 0.0)), "highest": float(np.clip(highest, 1.0, 11.0))}
     return {**weights, **factor, **reach, "offset": -scale.zero * size}

@@ -155,22 +155,23 @@ def _alone(table: Table) -> Iterator[Formula]:
 
 
 def _waves(table: Table) -> Iterator[Formula]:
-    """Yield a sine, alone and with its second harmonic; a constant beside each."""
+    """Yield a sine that repeats with the table or twice in it, alone and with its second harmonic; a constant beside each."""
     period = (table.at[-1] - table.at[0]) * len(table.at) / (len(table.at) - 1)
     spectrum = np.fft.rfft(table.values) / len(table.values)
-    first, second = spectrum[1], spectrum[2]
     shift = 2.0 * math.pi * table.at[0] / period
 
-    def sine(harmonic: int, coefficient: complex) -> tuple[float, float]:
+    def sine(harmonic: int) -> tuple[float, float]:
         # A cosine of phase φ is a sine of phase φ + π/2.
-        phase = np.angle(coefficient) + 0.5 * math.pi - harmonic * shift
-        return 2.0 * abs(coefficient), float((phase + math.pi) % (2.0 * math.pi) - math.pi)
+        phase = np.angle(spectrum[harmonic]) + 0.5 * math.pi - harmonic * shift
+        return 2.0 * abs(spectrum[harmonic]), float((phase + math.pi) % (2.0 * math.pi) - math.pi)
 
-    (size, phase), (size_2, phase_2) = sine(1, first), sine(2, second)
-    one = {"wave": size, "wave_number": float(1.0 / period), "wave_phase": phase}
-    for level in ({}, {"level": float(np.real(spectrum[0]))}):
-        yield Formula({**level, **one})
-        yield Formula({**level, **one, "wave_2": size_2, "wave_2_phase": phase_2})
+    # A wave also repeats after two of its periods.
+    for periods in (1, 2):
+        (size, phase), (size_2, phase_2) = sine(periods), sine(2 * periods)
+        one = {"wave": size, "wave_number": float(periods / period), "wave_phase": phase}
+        for level in ({}, {"level": float(np.real(spectrum[0]))}):
+            yield Formula({**level, **one})
+            yield Formula({**level, **one, "wave_2": size_2, "wave_2_phase": phase_2})
 
 
 def _sized(table: Table, whitening: Array, start: Formula) -> Formula:

@@ -9,12 +9,13 @@ import yaml
 from ehls_ros.arrays import in_python
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.empirical import asked_about, candidate_of
+from ehls_ros.diagnosis.empirical import asked_about, candidate_of, formula_of
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.hypotheses import extended
 from ehls_ros.diagnosis.loss import closed
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import setup
+from ehls_ros.diagnosis.term_formula import Formula
 from ehls_ros.diagnosis.term_proposals import (
     FRICTION,
     Proposal,
@@ -187,6 +188,15 @@ def test_a_proposal_of_two_signals_with_a_memory_has_them_in_its_parameters():
     lagged = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 1e6, (-1e6, 1e6), lag=0.2))
     assert lagged.free[0] == "memory"
     assert lagged.starts[0, 0] == pytest.approx(0.2)
+
+
+def test_a_formula_goes_on_beyond_the_data_and_a_table_does_not():
+    proposal = Proposal(0.5, "empirical_force", "velocity", -0.1, 0.3, (-0.1, 0.3), 8)
+    formula = formula_of(proposal, Formula({"power": 1.0}))
+    table = candidate_of(proposal)
+    p, q = (c.use(c.starts[0]).parameters for c in (formula, table))
+    assert [(end - p.offset) / p.per_velocity for end in (p.lowest, p.highest)] == pytest.approx([-0.3, 0.5])
+    assert [(end - q.offset) / q.per_velocity for end in (q.lowest, q.highest)] == pytest.approx([-0.1, 0.3])
 
 
 @pytest.mark.parametrize("periodic", [False, True])
