@@ -48,8 +48,11 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects._table import VALUES
 from ehls_ros.schema import declarations
 
-FITTED_TERMS = 8
-"""Terms beside named causes that are fitted to the end, of all whose argument predicts the remainder."""
+FITTED_ALONE, FITTED_BESIDE = 4, 6
+"""Terms that are fitted to the end, of all whose argument predicts the remainder: alone, and beside named causes.
+
+After one step, a term beside causes that together imitate the error leaves less than the right one alone.
+"""
 
 PERIOD_RANGE = 0.05
 """Largest relative change of a period from that found first."""
@@ -132,9 +135,11 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
             linearised.setdefault(key, []).extend([] if fit is None else [fit])
         begun += [(base, p, combined(evidence, base.fit, fit)) for key, p in proposed.items() for fit in linearised[key]]
     origin = {id(start.fit.hypothesis): (base, p) for base, p, start in begun}
+    alone, beside = ([start for base, _, start in begun if bool(base.names) == named] for named in (False, True))
     offers = [
         _Offer(base, more, p)
-        for more in fitted(evidence, pool, [start for *_, start in begun], FITTED_TERMS)
+        for starts, most in ((alone, FITTED_ALONE), (beside, FITTED_BESIDE))
+        for more in (fitted(evidence, pool, starts, most) if starts else [])
         for base, p in [origin[id(more.hypothesis)]]
     ]
     if not offers:

@@ -86,6 +86,13 @@ def test_what_depends_on_the_changes_of_a_signal_has_its_time_constant():
 
 
 @pytest.mark.long
+def test_a_term_is_not_lost_to_named_causes_that_imitate_it_together():
+    found = diagnosed(creeping_spring={"stiffness": 4800.0, "time_constant": 1.3})
+    assert (found.verdict, found.causes, found.term.effect) == ("unknown", (), "empirical_force")
+    assert found.term.lag.value == pytest.approx(1.3, rel=0.05)
+
+
+@pytest.mark.long
 def test_an_error_of_a_sensor_is_found_as_one_of_that_sensor():
     found = diagnosed(pressure_sensor_bow={"deviation": 1.2e5})
     term = found.term
