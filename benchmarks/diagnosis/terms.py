@@ -86,7 +86,8 @@ def _line(row: Row) -> str:
         return f"{row['name']:26} {row['verdict']:9} {row['found'] or '–':14} {'':31} {row['said']}"
     gains = " ".join("      –" if row[key] is None else f"{row[key]:7.1%}" for key in ("closed", "carried", "free"))
     right = ("s" if row["signals"] else "-") + {True: "r", False: "-", None: " "}[row["reads"]]
-    return f"{row['name']:26} {row['verdict']:9} {row['found'] or '–':14} {gains} {right:7} {row['term']}"
+    beside = f", beside {row['said']}" if row["said"] else ""
+    return f"{row['name']:26} {row['verdict']:9} {row['found'] or '–':14} {gains} {right:7} {row['term']}{beside}"
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
