@@ -299,6 +299,7 @@ def proposals(asked: Asked, e: Array) -> list[Proposal]:
         asked: the channel.
         e: its whitened remainder, shape (windows,).
     """
+    e = _comparable(asked, e * asked.evidence.floor[asked.channel])
     clipped = without_tail(e)
     simple, further = list[Proposal](), list[Proposal]()
     for effect, place in PLACES[asked.channel].items():
@@ -350,10 +351,21 @@ def _argument(asked: Asked, p: Proposal) -> Array:
 def _columns(asked: Asked, p: Proposal, values: Array, knots: int) -> Array:
     """Return the windows for each value of a table, shape (windows, knots)."""
     if p.effect == FRICTION:
-        return asked.friction(p._replace(knots=knots))
+        return _comparable(asked, asked.friction(p._replace(knots=knots)))
     times = asked.signals[p.factor] / p.factor_reach if p.factor else 1.0
     columns = np.stack([asked.respond(hat * times) for hat in hats(p, values, knots)], axis=1)
-    return columns * asked.direction[:, np.newaxis] if p.direction > 0.0 and asked.direction is not None else columns
+    turned = columns * asked.direction[:, np.newaxis] if p.direction > 0.0 and asked.direction is not None else columns
+    return _comparable(asked, turned)
+
+
+def _comparable(asked: Asked, windows: Array) -> Array:
+    """Return windows, one or more columns, in units of the noise and without the variation that the standard allows.
+
+    A remainder lacks most of that variation, such as a skew between two signals; a column with it would not resemble it.
+    """
+    floor, allowed = asked.evidence.floor[asked.channel], asked.evidence.allowed.get(asked.channel)
+    relative: Array = (windows.T / floor).T
+    return relative if allowed is None else allowed.outside(relative)
 
 
 def hats(p: Proposal, values: Array, knots: int) -> Iterator[Array]:
@@ -376,7 +388,7 @@ def _estimated(asked: Asked, p: Proposal, e: Array) -> Proposal:
 
 def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[Array, Array]:
     """Return a table's values at a number of knots by regression on a remainder, and their standard errors."""
-    columns = _columns(asked, p, _argument(asked, p), knots) / asked.evidence.floor[asked.channel][:, np.newaxis]
+    columns = _columns(asked, p, _argument(asked, p), knots)
     normal = columns.T @ columns
     normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
     inverse = np.linalg.inv(normal)
@@ -434,7 +446,7 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
     elif alike.argument == "time":
         size = float(np.sqrt(np.mean(along**2))) or 1.0
         for frequency in spectral_lines(along / size, evidence.times[channel], 1):
-            share = explained_by(_repeating(asked.respond, frequency * values), along, even)
+            share = explained_by(_comparable(asked, _repeating(asked.respond, frequency * values)), along, even)
             out.append(alike._replace(share=share, low=0.0, high=1.0 / frequency, periodic=True, knots=FINENESS[0]))
     return out
 
