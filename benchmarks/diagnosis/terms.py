@@ -57,7 +57,8 @@ def case(name: str, seed: int, duration: float) -> Row:
         row |= {
             "term": phrase(found.term),
             "closed": 0.0 if found.gain is None else found.gain.closed_fraction,
-            "carried": None if carried is None else carried.closed,
+            # An error below the noise is none to close.
+            "carried": None if carried is None or carried.noise > 1.0 else carried.closed,
             "free": closed_in_free_run(found, first),
             "signals": signals_right(found.term, truth),
             "reads": None if truth.reads is None else truth.reads(found.term, sizes),
