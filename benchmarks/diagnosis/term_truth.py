@@ -44,7 +44,7 @@ def signals_right(term: Term, truth: Truth) -> bool:
 
 
 def _near(value: float, true: float, tolerance: float = CLOSE) -> bool:
-    return abs(value - true) <= tolerance * abs(true)
+    return bool(abs(value - true) <= tolerance * abs(true))
 
 
 def _power(exponent: float, symmetry: str) -> Check:
