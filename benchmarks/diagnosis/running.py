@@ -12,6 +12,7 @@ from benchmarks.diagnosis.single_rod import SIGNALS
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.errors import BadInput
+from ehls_ros.report.diagnosis_term import phrase
 
 
 def diagnose_case(case: Case) -> Diagnosis:
@@ -92,6 +93,7 @@ def told(d: Diagnosis) -> dict[str, Any]:
             }
             for c in d.causes
         ],
+        "term": None if d.term is None else phrase(d.term),
         "gain": None if d.gain is None else d.gain._asdict(),
         "sensitivities": [[s.name, s.parameter, s.smallest] for s in d.sensitivities],
         "wall_s": d.wall_s,

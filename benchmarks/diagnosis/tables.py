@@ -161,6 +161,8 @@ def headline(judged: Judged, of: dict[str, Judged]) -> Table:
         row(f"{kind}: a true cause and one that is not there", "", beside, [], None, None)
     alarms = [not j.right for _, j in nothing]
     row("nothing hidden: false alarms", "≤ 1 %", alarms, alarms, None, 0.01)
+    offered = [bool(r.get("ours", {}).get("term")) for r, _ in single + pair + nothing]
+    row("nothing outside the list: a term offered", "≤ 1 %", offered, offered, None, 0.01)
     right, lenient = [j.right for _, j in outside], [j.lenient for _, j in outside]
     row("outside the list: unexplained in the right stage, nothing for certain", "≥ 90 %", right, lenient, 0.9, None)
     unknown = [r.get("ours", {}).get("verdict") == "unknown" for r, _ in outside]

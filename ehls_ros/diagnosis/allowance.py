@@ -96,6 +96,11 @@ class Allowed(NamedTuple):
         left: Array = e - self.basis @ np.clip(along, -self.bounds, self.bounds)
         return left
 
+    def outside(self, e: Array) -> Array:
+        """Return residuals, or columns of them, divided by their floor, without their parts along the allowed directions."""
+        left: Array = e - self.basis @ (self.basis.T @ e)
+        return left
+
     def _beyond(self) -> Array:
         """Return the divisor of variations beyond the bounds."""
         return np.maximum(1.0, self.deviations / rules.EDGE)

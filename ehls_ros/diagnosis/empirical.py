@@ -8,6 +8,8 @@ are parameters of the effect, so that simulator, controllers and reports use it 
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache, partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +17,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
-from ehls_ros.diagnosis.evidence import Evidence
+from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit, Start, Worker
 from ehls_ros.diagnosis.held_out import Assessment
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
@@ -27,7 +29,7 @@ from ehls_ros.diagnosis.record import COMMAND
 from ehls_ros.diagnosis.remainder import remainders, with_allowances
 from ehls_ros.diagnosis.result import Term, argument_unit
 from ehls_ros.diagnosis.search import Searched, fitted, given_model, inflations
-from ehls_ros.diagnosis.stages import CHANNELS, Stage
+from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.starts import combined
 from ehls_ros.diagnosis.term_formula import SIZES, Formula, Table, formulas, shapes_of, value_of
 from ehls_ros.diagnosis.term_proposals import (
@@ -36,6 +38,7 @@ from ehls_ros.diagnosis.term_proposals import (
     PLACES,
     SIGNAL_OF,
     TIME_KNOTS,
+    Asked,
     Proposal,
     asked_in,
     proposals,
@@ -45,8 +48,11 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects._table import VALUES
 from ehls_ros.schema import declarations
 
-FITTED_TERMS = 8
-"""Terms beside named causes that are fitted to the end, of all whose argument predicts the remainder."""
+FITTED_ALONE, FITTED_BESIDE = 4, 6
+"""Terms that are fitted to the end, of all whose argument predicts the remainder: alone, and beside named causes.
+
+After one step, a term beside causes that together imitate the error leaves less than the right one alone.
+"""
 
 PERIOD_RANGE = 0.05
 """Largest relative change of a period from that found first."""
@@ -57,8 +63,11 @@ MEMORY_RANGE = 10.0
 DEARER = 1.0 / rules.WORTHWHILE**2
 """Factor by which less of the error must remain with a term than with named causes for it to be offered in their place."""
 
-SKETCH_ERROR = 0.03
-"""Error of the values estimated for a table, as a fraction of their range."""
+FORMULA_REACH = rules.MAX_EXTRAPOLATION
+"""Distance from the middle of the data, in half ranges of theirs, up to which a formula over a signal with a zero goes on.
+
+Origin: as far as a recording is judged by its baselines; of a table, no value beyond the data is known.
+"""
 
 SHOWN_POINTS, SLOPE_STEP = 41, 1e-4
 """Points of a formula's picture, and relative step of the difference quotients of its errors."""
@@ -117,7 +126,7 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     evidence = pool.evidence
     nothing = given_model(evidence)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
-    inside = [asked_in(evidence, channel) for channel in evidence.channels if CHANNELS[channel] == stage and channel in PLACES]
+    inside = asked_about(evidence, stage)
     linearised, begun = dict[tuple[object, ...], list[Fit]](), list[tuple[Assessment, Proposal, Start]]()
     for base in bases.values():
         proposed = {p.key: p for asked in inside for p in proposals(asked, base.held_out.residuals.values[asked.channel])}
@@ -126,9 +135,11 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
             linearised.setdefault(key, []).extend([] if fit is None else [fit])
         begun += [(base, p, combined(evidence, base.fit, fit)) for key, p in proposed.items() for fit in linearised[key]]
     origin = {id(start.fit.hypothesis): (base, p) for base, p, start in begun}
+    alone, beside = ([start for base, _, start in begun if bool(base.names) == named] for named in (False, True))
     offers = [
         _Offer(base, more, p)
-        for more in fitted(evidence, pool, [start for *_, start in begun], FITTED_TERMS)
+        for starts, most in ((alone, FITTED_ALONE), (beside, FITTED_BESIDE))
+        for more in (fitted(evidence, pool, starts, most) if starts else [])
         for base, p in [origin[id(more.hypothesis)]]
     ]
     if not offers:
@@ -148,6 +159,16 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
         return None
     return Described(offer.more, offer.base, _term(evidence, offer), others)
+
+
+def asked_about(evidence: Evidence, stage: Stage) -> list[Asked]:
+    """Return the channels of a stage in which terms can act, prepared for proposals."""
+    worker = Worker(evidence)
+    return [
+        asked_in(evidence, channel, cache(partial(_windows, worker, channel)))
+        for channel in evidence.channels
+        if CHANNELS[channel] == stage and channel in PLACES
+    ]
 
 
 def _equally_good(evidence: Evidence, found: Sequence[Assessment], simpler: Assessment) -> list[int]:
@@ -204,7 +225,7 @@ def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
     at = (_places(proposal, candidate, values) - scale.zero) / scale.size
     known = Table(at, values[table], covariance, proposal.periodic, _signed(proposal))
     memory = {name: value for name, value in zip(candidate.free, values.tolist(), strict=True) if name in MEMORIES}
-    fits = pool.map(_linearised, [_of_formula(proposal, scale, memory, formula) for formula in formulas(known)])
+    fits = pool.map(_linearised, [formula_of(proposal, formula, memory) for formula in formulas(known)])
     begun = [
         combined(evidence, beside.fit, fit)
         for fit in fits
@@ -222,8 +243,8 @@ def _sketched(proposal: Proposal) -> list[Candidate]:
         return []
     scale, values = _scale_of(proposal), np.array(proposal.sketch)
     at = (np.linspace(proposal.low, proposal.high, len(values)) - scale.zero) / scale.size
-    errors = (SKETCH_ERROR * max(float(np.ptp(values)), 1e-300)) ** 2 * np.eye(len(values))
-    return [_of_formula(proposal, scale, {}, f) for f in formulas(Table(at, values, errors, False, _signed(proposal)))]
+    errors = np.diag(np.square(proposal.sketch_std))
+    return [formula_of(proposal, f) for f in formulas(Table(at, values, errors, False, _signed(proposal)))]
 
 
 class _Scale(NamedTuple):
@@ -239,10 +260,12 @@ def _signed(proposal: Proposal) -> bool:
 
 
 def _scale_of(proposal: Proposal) -> _Scale:
-    """Return the scale in which an argument reaches 1."""
+    """Return the scale in which an argument reaches 1, for a term that repeats after one period."""
     if proposal.play > 0.0:
         return _Scale(0.0, proposal.play)
     low, high = proposal.reach
+    if proposal.periodic:
+        return _Scale(0.0 if _signed(proposal) else low, proposal.high - proposal.low)
     return _Scale(0.0, max(abs(low), abs(high))) if _signed(proposal) else _Scale(low, high - low)
 
 
@@ -275,16 +298,16 @@ def candidate_of(proposal: Proposal) -> Candidate:
     return _candidate(proposal, free, fixed, bounds, dict.fromkeys(VALUES, 0.0))
 
 
-def _of_formula(proposal: Proposal, scale: _Scale, memory: Mapping[str, float], formula: Formula) -> Candidate:
+def formula_of(proposal: Proposal, formula: Formula, memory: Mapping[str, float] = MappingProxyType({})) -> Candidate:
     """Return the hypothesis of a formula in place of a table.
 
     Args:
         proposal: the table.
-        scale: of the formula's argument.
-        memory: fitted parameters of the table's memory and direction.
         formula: parameters of the formula.
+        memory: fitted parameters of the table's memory and direction.
     """
-    fixed = {**_argument(proposal, scale), **formula.fixed, "knots": 0.0}
+    scale = _scale_of(proposal)
+    fixed = {**_argument(proposal, scale, FORMULA_REACH), **formula.fixed, "knots": 0.0}
     bounds = {**_memory_bounds(memory), **formula.bounds}
     if "wave_number" in formula.free:
         number = formula.free["wave_number"]
@@ -292,14 +315,23 @@ def _of_formula(proposal: Proposal, scale: _Scale, memory: Mapping[str, float], 
     return _candidate(proposal, {**memory, **formula.free}, fixed, bounds, dict.fromkeys(SIZES, 0.0))
 
 
-def _argument(proposal: Proposal, scale: _Scale) -> dict[str, float]:
-    """Return the parameters of a term's argument and factor, without those of a memory."""
+def _argument(proposal: Proposal, scale: _Scale, half_ranges: float = 1.0) -> dict[str, float]:
+    """Return the parameters of a term's argument and factor, without those of a memory.
+
+    Args:
+        proposal: the table.
+        scale: of the argument.
+        half_ranges: distance from the middle of the data up to which the term changes, in half ranges of theirs.
+    """
     size = 1.0 / scale.size
     weights = {_weight(proposal): size} | ({"per_error": -size} if proposal.argument == DISPLACEMENT else {})
     factor = {f"times_{proposal.factor}": 1.0 / proposal.factor_reach} if proposal.factor else {}
     if proposal.periodic:
         return {**weights, **factor, "offset": -scale.zero * size, "periodic": 1.0}
-    ends = (-MEMORY_RANGE * proposal.play, MEMORY_RANGE * proposal.play) if proposal.play > 0.0 else proposal.reach
+    low, high = proposal.reach
+    further = 0.5 * (high - low) * (half_ranges - 1.0) if _signed(proposal) else 0.0
+    play = MEMORY_RANGE * proposal.play
+    ends = (-play, play) if play > 0.0 else (low - further, high + further)
     lowest, highest = ((end - scale.zero) * size for end in ends)
     reach = {"lowest": float(np.clip(lowest, -10.0, 0.0)), "highest": float(np.clip(highest, 1.0, 11.0))}
     return {**weights, **factor, **reach, "offset": -scale.zero * size}
@@ -342,6 +374,15 @@ def _candidate(
         tuple(declared[name].unit for name in free),
         np.array([neutral.get(name, value) for name, value in zip(free, start.tolist(), strict=True)]),
     )
+
+
+def _windows(worker: Worker, channel: Channel, proposal: Proposal) -> Array:
+    """Return a channel's windows for each value of a table, from runs of the model, shape (windows, knots)."""
+    block, floor = worker.evidence.block, worker.evidence.floor[channel]
+    fit = _linearised(worker, candidate_of(proposal))
+    if fit is None or channel not in fit.channels:
+        return np.zeros((len(floor), proposal.knots))
+    return floor[:, np.newaxis] * fit.jacobian[sections(block, fit.channels)[channel], -proposal.knots :]
 
 
 def _linearised(worker: Worker, candidate: Candidate) -> Fit | None:

@@ -543,18 +543,24 @@ class Comparison:
     def misread(self, rig: EffectiveRig) -> Array:
         """Return the errors that effects add to the readings of :data:`MISREAD`, shape (n, 3).
 
-        They depend on the true signals, which are the readings less the errors.
+        They depend on the true signals, which are the readings less the errors. Where the pressure sensor remembers, as with a
+        hysteresis, its reading does not tell the pressure, and that of the load cell is taken if there is one.
         """
 
         def compute() -> Array:
             used = _used("readings", rig)
-            measured = self._measured_motion(rig._replace(effects=tuple(use for use in rig.effects if use not in used)))
-            along = self._along("readings", rig, Motion(*map(value_of, measured)), self._memory_steps("readings", rig))
+            others = rig._replace(effects=tuple(use for use in rig.effects if use not in used))
+            along = self._along("readings", rig, self._measured_motion(others), self._memory_steps("readings", rig))
+            along = along._replace(motion=Motion(*map(value_of, along.motion)))
+            other_sensor = FORCE in self.record and any(_remembers(use, "pressure_reading") for use in used)
+            area = value_of(rig.plant.piston_area)
+            by_cell = value_of(self.corrected(others, "force")) / area if other_sensor else np.empty(0)
             errors = np.zeros((len(self.record.time), len(MISREAD)))
             for _ in range(MISREAD_PASSES):
-                position, pressure = (np.ascontiguousarray(errors[:, MISREAD.index(s)]) for s in ("position", "load_pressure"))
+                position, pressure, force = np.ascontiguousarray(errors.T)
                 motion = along.motion._replace(
-                    position=along.motion.position - position, pressure=along.motion.pressure - pressure
+                    position=along.motion.position - position,
+                    pressure=by_cell - force / area if other_sensor else along.motion.pressure - pressure,
                 )
                 before, errors = errors, value_of(run_part("readings", rig, along._replace(motion=motion)))
                 if np.max(np.abs(errors - before)) <= MISREAD_LEFT * np.max(np.abs(errors)):
@@ -698,6 +704,11 @@ def longest_step(use: EffectUse) -> float:
     if hasattr(effect, "longest_step"):
         return float(effect.longest_step(use.parameters))
     return MEMORY_STEP if getattr(effect, "STATES", 0) else math.inf
+
+
+def _remembers(use: EffectUse, hook: str) -> bool:
+    """Return whether an effect has a hook, and states that its parameters need."""
+    return hasattr(EFFECTS.load(use.name), hook) and math.isfinite(longest_step(use))
 
 
 def _used(part: str, rig: EffectiveRig) -> tuple[EffectUse, ...]:

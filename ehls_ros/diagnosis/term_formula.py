@@ -64,8 +64,11 @@ class Formula(NamedTuple):
 REFINED, ROUNDS, TRIED = 14, 30, 3
 """Formulas that are fitted to the table, evaluations of each, and formulas that are fitted to the recording."""
 
-UNLIKE = 0.01
-"""Fraction of a table's range by which straight lines between its knots may differ from a formula."""
+KNOWN_PERIOD = 1e-6
+"""Relative change of a table's period up to which it stays in step with the recording, over a thousand periods and more."""
+
+UNLIKE = 0.07
+"""Fraction of a table's range by which the lines between its knots may differ from a formula, times the number of lines."""
 
 EXPONENTS, WIDTHS = (0.5, 1.0, 2.0, 3.0), (0.05, 0.2, 0.6)
 """Exponents, and widths as fractions of the table's span, from which shapes are fitted."""
@@ -97,7 +100,7 @@ def formulas(table: Table) -> list[Formula]:
     size = max(float(np.ptp(table.values)), 1e-300)
     # Where the data hardly determine some values, rounding leaves their covariance without a Cholesky root.
     variances, directions = np.linalg.eigh(0.5 * (table.covariance + table.covariance.T))
-    whitening = directions.T / np.sqrt(np.maximum(variances, 0.0) + (UNLIKE * size) ** 2)[:, np.newaxis]
+    whitening = directions.T / np.sqrt(np.maximum(variances, 0.0) + (UNLIKE * size / (len(table.at) - 1)) ** 2)[:, np.newaxis]
     shapes = _waves(table) if table.periodic else chain(*_shapes(table))
     starts = sorted((_sized(table, whitening, start) for start in shapes), key=lambda formula: formula.cost)
     best = dict[tuple[str, ...], Formula]()
@@ -152,22 +155,23 @@ def _alone(table: Table) -> Iterator[Formula]:
 
 
 def _waves(table: Table) -> Iterator[Formula]:
-    """Yield a sine, alone and with its second harmonic; a constant beside each."""
+    """Yield a sine that repeats with the table or twice in it, alone and with its second harmonic; a constant beside each."""
     period = (table.at[-1] - table.at[0]) * len(table.at) / (len(table.at) - 1)
     spectrum = np.fft.rfft(table.values) / len(table.values)
-    first, second = spectrum[1], spectrum[2]
     shift = 2.0 * math.pi * table.at[0] / period
 
-    def sine(harmonic: int, coefficient: complex) -> tuple[float, float]:
+    def sine(harmonic: int) -> tuple[float, float]:
         # A cosine of phase φ is a sine of phase φ + π/2.
-        phase = np.angle(coefficient) + 0.5 * math.pi - harmonic * shift
-        return 2.0 * abs(coefficient), float((phase + math.pi) % (2.0 * math.pi) - math.pi)
+        phase = np.angle(spectrum[harmonic]) + 0.5 * math.pi - harmonic * shift
+        return 2.0 * abs(spectrum[harmonic]), float((phase + math.pi) % (2.0 * math.pi) - math.pi)
 
-    (size, phase), (size_2, phase_2) = sine(1, first), sine(2, second)
-    one = {"wave": size, "wave_number": float(1.0 / period), "wave_phase": phase}
-    for level in ({}, {"level": float(np.real(spectrum[0]))}):
-        yield Formula({**level, **one})
-        yield Formula({**level, **one, "wave_2": size_2, "wave_2_phase": phase_2})
+    # A wave also repeats after two of its periods.
+    for periods in (1, 2):
+        (size, phase), (size_2, phase_2) = sine(periods), sine(2 * periods)
+        one = {"wave": size, "wave_number": float(periods / period), "wave_phase": phase}
+        for level in ({}, {"level": float(np.real(spectrum[0]))}):
+            yield Formula({**level, **one})
+            yield Formula({**level, **one, "wave_2": size_2, "wave_2_phase": phase_2})
 
 
 def _sized(table: Table, whitening: Array, start: Formula) -> Formula:
@@ -191,7 +195,7 @@ def _fitted(table: Table, whitening: Array, start: Formula) -> Formula:
     if table.periodic:
         # The period is known from the recording much better than from the table.
         number, is_number = start.free["wave_number"], np.array([name == "wave_number" for name in names])
-        low, high = np.where(is_number, 0.999 * number, low), np.where(is_number, 1.001 * number, high)
+        low, high = (np.where(is_number, (1.0 + sign * KNOWN_PERIOD) * number, end) for sign, end in ((-1.0, low), (1.0, high)))
 
     def left(x: Array) -> Array:
         numbers = {**start.fixed, **dict(zip(names, (x * scale).tolist(), strict=True))}

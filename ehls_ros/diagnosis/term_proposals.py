@@ -19,7 +19,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.dependence import explained_by, signals_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.loss import power
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import Channel
 from ehls_ros.diagnosis.starts import spectral_lines
 from ehls_ros.physics.effects._table import KNOTS
@@ -27,6 +27,9 @@ from ehls_ros.samples import Mask
 
 ERROR, DISPLACEMENT = "error", "displacement"
 """Command less spool displacement, and spool displacement, as arguments at the valve's input."""
+
+FRICTION = "empirical_friction"
+"""The term whose level friction approaches while it slides."""
 
 
 class Place(NamedTuple):
@@ -56,7 +59,7 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
             {"position": (0.1, 0.5, 2.0), "velocity": (0.005, 0.05)},
             ("position",),
         ),
-        "empirical_friction": Place(
+        FRICTION: Place(
             ("position", "speed", "pressure", "time", "temperature"), (("position", "pressure"), ("speed", "pressure"))
         ),
     },
@@ -77,7 +80,7 @@ PLACES: Mapping[Channel, Mapping[str, Place]] = {
     },
     "cell": {
         "empirical_pressure_reading": Place(
-            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),)
+            ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),), {}, ("pressure",)
         ),
         "empirical_force_reading": Place(
             ("pressure", "position", "velocity", "temperature", "time"), (("position", "pressure"),)
@@ -175,6 +178,7 @@ class Proposal(NamedTuple):
         play: width of the play in whose gap the argument is taken, in the signal's unit; 0: none.
         start: its values at the knots, if it must be near them to be fitted.
         sketch: in that case also its values at :data:`SKETCHED` places from the first knot to the last.
+        sketch_std: their standard errors.
     """
 
     share: float
@@ -192,6 +196,7 @@ class Proposal(NamedTuple):
     play: float = 0.0
     start: tuple[float, ...] = ()
     sketch: tuple[float, ...] = ()
+    sketch_std: tuple[float, ...] = ()
 
     @property
     def simple(self) -> bool:
@@ -201,7 +206,7 @@ class Proposal(NamedTuple):
     @property
     def key(self) -> tuple[object, ...]:
         """What it is, apart from its values."""
-        return self[1:-2]
+        return self[1:-3]
 
 
 class Asked(NamedTuple):
@@ -215,6 +220,7 @@ class Asked(NamedTuple):
         direction: direction of motion in the windows; None without a motion.
         turning: speed within which it turns [m/s].
         waves: waves along the stroke; None where no term repeats along it.
+        friction: returns the windows for each value of a table of friction, which follows its level only while it slides.
     """
 
     evidence: Evidence
@@ -224,22 +230,32 @@ class Asked(NamedTuple):
     direction: Array | None
     turning: float
     waves: Waves | None
+    friction: Callable[[Proposal], Array]
 
 
-def asked_in(evidence: Evidence, channel: Channel) -> Asked:
-    """Return a channel prepared for proposals of its terms."""
+def asked_in(evidence: Evidence, channel: Channel, friction: Callable[[Proposal], Array]) -> Asked:
+    """Return a channel prepared for proposals of its terms.
+
+    Args:
+        evidence: the recording compared with the given model.
+        channel: the channel.
+        friction: returns the windows for each value of a table of friction, shape (windows, knots).
+    """
     along, respond = signals_along(evidence.comparison(), evidence.rig), _respond(evidence, channel)
     signals = {name: along[signal] for name, signal in SIGNAL_OF.items() if signal in along}
     if "speed" in signals:
         signals["speed"] = np.abs(signals["speed"])
     if channel == "spool":
         signals["spool"], signals[ERROR] = along[COMMAND], along[COMMAND] - along[SPOOL]
+    if channel == "cell":
+        # Inside a hysteresis of the pressure sensor, its reading stays where it was.
+        signals["pressure"] = evidence.record.values(FORCE) / evidence.rig.effective().plant.piston_area
     velocity = signals.get("velocity")
     turning, direction = (0.0, None) if velocity is None else turns(evidence, channel, velocity)
     repeats = any("position" in place.single for place in PLACES[channel].values())
     position = signals.get("position")
     waves = waves_along(respond, position) if repeats and position is not None and np.ptp(position) > 0.0 else None
-    return Asked(evidence, channel, respond, signals, direction, turning, waves)
+    return Asked(evidence, channel, respond, signals, direction, turning, waves, friction)
 
 
 def turns(evidence: Evidence, channel: Channel, velocity: Array) -> tuple[float, Array | None]:
@@ -283,6 +299,7 @@ def proposals(asked: Asked, e: Array) -> list[Proposal]:
         asked: the channel.
         e: its whitened remainder, shape (windows,).
     """
+    e = _comparable(asked, e * asked.evidence.floor[asked.channel])
     clipped = without_tail(e)
     simple, further = list[Proposal](), list[Proposal]()
     for effect, place in PLACES[asked.channel].items():
@@ -301,10 +318,7 @@ def proposals(asked: Asked, e: Array) -> list[Proposal]:
     if asked.channel != "spool":
         return chosen
     # The spool's error feeds back, so that a table far from the right one may not lead to it.
-    return [
-        p._replace(start=_values(asked, p, e, p.knots), sketch=() if p.periodic else _values(asked, p, e, SKETCHED))
-        for p in chosen
-    ]
+    return [_estimated(asked, p, e) for p in chosen]
 
 
 def _variants(asked: Asked, effect: str, argument: str) -> tuple[float, ...]:
@@ -336,20 +350,50 @@ def _argument(asked: Asked, p: Proposal) -> Array:
 
 def _columns(asked: Asked, p: Proposal, values: Array, knots: int) -> Array:
     """Return the windows for each value of a table, shape (windows, knots)."""
-    at = np.linspace(p.low, p.high, knots)
+    if p.effect == FRICTION:
+        return _comparable(asked, asked.friction(p._replace(knots=knots)))
     times = asked.signals[p.factor] / p.factor_reach if p.factor else 1.0
-    columns = np.stack([asked.respond(np.interp(values, at, row) * times) for row in np.eye(knots)], axis=1)
-    # Friction opposes the motion.
-    turned = p.direction > 0.0 or p.effect == "empirical_friction"
-    return columns * asked.direction[:, np.newaxis] if turned and asked.direction is not None else columns
+    columns = np.stack([asked.respond(hat * times) for hat in hats(p, values, knots)], axis=1)
+    turned = columns * asked.direction[:, np.newaxis] if p.direction > 0.0 and asked.direction is not None else columns
+    return _comparable(asked, turned)
 
 
-def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[float, ...]:
-    """Return a table's values at a number of knots by regression on a remainder."""
-    columns = _columns(asked, p, _argument(asked, p), knots) / asked.evidence.floor[asked.channel][:, np.newaxis]
+def _comparable(asked: Asked, windows: Array) -> Array:
+    """Return windows, one or more columns, in units of the noise and without the variation that the standard allows.
+
+    A remainder lacks most of that variation, such as a skew between two signals; a column with it would not resemble it.
+    """
+    floor, allowed = asked.evidence.floor[asked.channel], asked.evidence.allowed.get(asked.channel)
+    relative: Array = (windows.T / floor).T
+    return relative if allowed is None else allowed.outside(relative)
+
+
+def hats(p: Proposal, values: Array, knots: int) -> Iterator[Array]:
+    """Yield the weight of each value of a table in the term at each sample, shape (samples,)."""
+    if p.periodic:
+        along, numbers = (values - p.low) / (p.high - p.low) % 1.0 * knots, np.arange(knots + 1)
+        yield from (np.interp(along, numbers, np.append(row, row[0])) for row in np.eye(knots))
+        return
+    # Beyond its ends a table goes on as it began, mirrored there.
+    at, inside = np.linspace(p.low, p.high, knots), np.clip(values, p.low, p.high)
+    yield from (2.0 * np.interp(inside, at, row) - np.interp(2.0 * inside - values, at, row) for row in np.eye(knots))
+
+
+def _estimated(asked: Asked, p: Proposal, e: Array) -> Proposal:
+    """Return a proposal with the values of its table, and with those of a finer one unless it repeats."""
+    start, _ = _values(asked, p, e, p.knots)
+    sketch, std = (np.empty(0), np.empty(0)) if p.periodic else _values(asked, p, e, SKETCHED)
+    return p._replace(start=tuple(start.tolist()), sketch=tuple(sketch.tolist()), sketch_std=tuple(std.tolist()))
+
+
+def _values(asked: Asked, p: Proposal, e: Array, knots: int) -> tuple[Array, Array]:
+    """Return a table's values at a number of knots by regression on a remainder, and their standard errors."""
+    columns = _columns(asked, p, _argument(asked, p), knots)
     normal = columns.T @ columns
     normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    return tuple(np.linalg.solve(normal, columns.T @ e).tolist())
+    inverse = np.linalg.inv(normal)
+    values = inverse @ (columns.T @ e)
+    return values, np.sqrt(np.diag(inverse) * power(e - columns @ values))
 
 
 def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
@@ -360,7 +404,8 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
         alike: effect, argument, factor, memory and direction.
         target: the remainder, shape (windows,).
     """
-    turned = alike.direction > 0.0 or alike.effect == "empirical_friction"
+    # Friction opposes the motion.
+    turned = alike.direction > 0.0 or alike.effect == FRICTION
     if alike.argument not in asked.signals or (turned and asked.direction is None):
         return []
     evidence, channel = asked.evidence, asked.channel
@@ -382,18 +427,26 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
     if not alike.simple:
         return out
     along = target * asked.direction if turned and asked.direction is not None else target
-    part = concentrated(means, along, low, high)
+    seen = along
+    if alike.effect == FRICTION:
+        # Friction keeps the level of one place until it has slid on: the remainder itself is not concentrated there.
+        means = np.linspace(low, high, 2 * CELLS)
+        seen = np.interp(means, np.linspace(low, high, fine), _values(asked, alike, target, fine)[0])
+    part = concentrated(means, seen, low, high)
     if part is not None and alike.argument != "time":
         narrow = alike._replace(low=part[0], high=part[1], knots=supported(values, *part, fine))
         share = explained_by(_columns(asked, narrow, values, narrow.knots), target, even)
         out.append(narrow._replace(share=max(share, rules.DEPENDS)))
     if alike.argument == "position" and asked.waves is not None:
         number, share = asked.waves.strongest(along, even)
-        out.append(alike._replace(share=share, low=0.0, high=float(np.ptp(values)) / number, periodic=True, knots=fine))
+        repeating = alike._replace(low=0.0, high=float(np.ptp(values)) / number, periodic=True, knots=fine)
+        if alike.effect == FRICTION:
+            share = explained_by(_columns(asked, repeating, values, fine), target, even)
+        out.append(repeating._replace(share=share))
     elif alike.argument == "time":
         size = float(np.sqrt(np.mean(along**2))) or 1.0
         for frequency in spectral_lines(along / size, evidence.times[channel], 1):
-            share = explained_by(_repeating(asked.respond, frequency * values), along, even)
+            share = explained_by(_comparable(asked, _repeating(asked.respond, frequency * values)), along, even)
             out.append(alike._replace(share=share, low=0.0, high=1.0 / frequency, periodic=True, knots=FINENESS[0]))
     return out
 

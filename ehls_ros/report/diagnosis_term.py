@@ -103,6 +103,8 @@ def found_term(found: Diagnosis) -> list[str]:
     limits = (
         "It repeats beyond the data."
         if term.period is not None
+        else "Beyond the data it goes on to twice their range and then keeps its value, which is not known to be right."
+        if term.formula
         else "Beyond the data it keeps the values at their ends, which is not known to be right."
     )
     text = (

@@ -6,10 +6,29 @@ import numpy as np
 import pytest
 import yaml
 
+from ehls_ros.arrays import in_python
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
-from ehls_ros.diagnosis.empirical import candidate_of
-from ehls_ros.diagnosis.term_proposals import Proposal, concentrated, lag_of, play_of, supported, waves_along
+from ehls_ros.diagnosis.empirical import asked_about, candidate_of, formula_of
+from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.hypotheses import extended
+from ehls_ros.diagnosis.loss import closed
+from ehls_ros.diagnosis.record import prepare
+from ehls_ros.diagnosis.stages import setup
+from ehls_ros.diagnosis.term_formula import Formula
+from ehls_ros.diagnosis.term_proposals import (
+    FRICTION,
+    Proposal,
+    concentrated,
+    hats,
+    lag_of,
+    play_of,
+    proposals,
+    supported,
+    waves_along,
+)
+from ehls_ros.physics.effects._table import looked_up
+from ehls_ros.physics.plant import X
 from ehls_ros.physics.rig import rig_from_mapping, rig_to_mapping
 from ehls_ros.trajectory import Trajectory
 from truth_generator import record
@@ -67,6 +86,13 @@ def test_what_depends_on_the_changes_of_a_signal_has_its_time_constant():
 
 
 @pytest.mark.long
+def test_a_term_is_not_lost_to_named_causes_that_imitate_it_together():
+    found = diagnosed(creeping_spring={"stiffness": 4800.0, "time_constant": 1.3})
+    assert (found.verdict, found.causes, found.term.effect) == ("unknown", (), "empirical_force")
+    assert found.term.lag.value == pytest.approx(1.3, rel=0.05)
+
+
+@pytest.mark.long
 def test_an_error_of_a_sensor_is_found_as_one_of_that_sensor():
     found = diagnosed(pressure_sensor_bow={"deviation": 1.2e5})
     term = found.term
@@ -74,6 +100,21 @@ def test_an_error_of_a_sensor_is_found_as_one_of_that_sensor():
     assert term.reading.power.exponent == pytest.approx(2.0, abs=0.1)
     assert set(found.gain.channels) > {"cell"}
     assert found.gain.closed_fraction > 0.95
+
+
+@pytest.mark.long
+def test_a_hum_of_a_thousand_periods_is_a_sine_of_its_amplitude():
+    term = diagnosed(mains_hum={"amplitude": 3e-5, "frequency": 50.0, "phase": 4.7}).term
+    assert (term.effect, term.argument, [shape.name for shape in term.formula]) == ("empirical_spool", "time_s", ["wave"])
+    assert term.period.value == pytest.approx(0.02, rel=1e-5)
+    assert term.reading.amplitude == pytest.approx(3e-5, rel=0.05)
+
+
+@pytest.mark.long
+def test_a_spool_of_limited_speed_is_found():
+    found = diagnosed(spool_slew_limit={"rate": 8e-4})
+    assert (found.term.effect, found.term.argument, found.term.error) == ("empirical_spool", "spool_m", True)
+    assert found.gain.closed_fraction > 0.99
 
 
 @pytest.mark.long
@@ -95,6 +136,30 @@ def test_the_part_of_a_range_that_holds_a_remainder_is_found():
     assert -0.1 < low < 0.026
     assert 0.034 < high < 0.06
     assert concentrated(means, np.sin(20.0 * means), -0.1, 0.1) is None
+
+
+def test_friction_that_is_higher_at_one_place_is_proposed_over_the_position():
+    patch = {"force": 1000.0, "position": -0.01, "width": 0.01}
+    record = prepare(recorded("rich", stick_patch=patch), RIG, "patch")
+    evidence = gather(record, RIG, setup(record, RIG), 0)
+    (asked,) = asked_about(evidence, "force_balance")
+    best = proposals(asked, evidence.base.values["force"])[0]
+    assert (best.effect, best.argument, best.periodic) == (FRICTION, "position", False)
+    assert best.share > 0.5
+
+
+def test_a_hysteresis_of_the_pressure_sensor_is_known_from_the_load_cell():
+    record = prepare(recorded("rich", pressure_sensor_hysteresis={"half_width": 5e4}), RIG, "hysteresis")
+    evidence = gather(record, RIG, setup(record, RIG), 0)
+    (asked,) = (asked for asked in asked_about(evidence, "sensors") if asked.channel == "cell")
+    best = max(proposals(asked, evidence.base.values["cell"]), key=lambda p: p.share)
+    assert (best.effect, best.argument) == ("empirical_pressure_reading", "pressure")
+    assert best.play > 0.0
+    term = candidate_of(best._replace(low=-5e4, high=5e4, play=1e5))
+    values = np.array([1.0, *np.linspace(5e4, -5e4, best.knots)])
+    after = evidence.residuals(evidence.comparison(), extended(RIG, (term,), values))
+    for channel in ("cell", "volume", "force"):
+        assert closed(evidence.base.values[channel], after.values[channel], evidence.noise[channel]) > 0.95
 
 
 def test_the_period_that_predicts_a_remainder_is_found():
@@ -130,6 +195,29 @@ def test_a_proposal_of_two_signals_with_a_memory_has_them_in_its_parameters():
     lagged = candidate_of(Proposal(0.5, "empirical_leakage", "pressure", -1e6, 1e6, (-1e6, 1e6), lag=0.2))
     assert lagged.free[0] == "memory"
     assert lagged.starts[0, 0] == pytest.approx(0.2)
+
+
+def test_a_formula_goes_on_beyond_the_data_and_a_table_does_not():
+    proposal = Proposal(0.5, "empirical_force", "velocity", -0.1, 0.3, (-0.1, 0.3), 8)
+    formula = formula_of(proposal, Formula({"power": 1.0}))
+    table = candidate_of(proposal)
+    p, q = (c.use(c.starts[0]).parameters for c in (formula, table))
+    assert [(end - p.offset) / p.per_velocity for end in (p.lowest, p.highest)] == pytest.approx([-0.3, 0.5])
+    assert [(end - q.offset) / q.per_velocity for end in (q.lowest, q.highest)] == pytest.approx([-0.1, 0.3])
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_remainder_is_predicted_by_the_same_table_that_the_effect_has(periodic):
+    low = 0.0 if periodic else -0.01
+    proposal = Proposal(0.5, "empirical_force", "position", low, 0.03, (-0.05, 0.07), 8, periodic=periodic)
+    values = np.random.default_rng(4).standard_normal(8)
+    candidate = candidate_of(proposal)
+    p = candidate.use(np.concatenate([candidate.starts[0][: len(candidate.free) - 8], values])).parameters
+    at = np.linspace(-0.05, 0.07, 50)
+    states = np.zeros((len(at), 8))
+    states[:, X] = at
+    of_effect = [in_python(looked_up)(0.0, 0.0, y, np.zeros(8), np.zeros(1), p) for y in states]
+    assert values @ np.stack(list(hats(proposal, at, 8))) == pytest.approx(of_effect)
 
 
 def test_a_lag_and_a_play_begin_at_zero():

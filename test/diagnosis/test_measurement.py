@@ -59,6 +59,15 @@ def test_what_the_whitening_takes_off_is_found_again(size):
     np.testing.assert_allclose(allowed.whitened(e) - (allowed.whitened(e) @ UNIT) * UNIT, e - (e @ UNIT) * UNIT, atol=1e-9)
 
 
+def test_outside_the_allowed_directions_a_residual_is_the_same_before_and_after_whitening():
+    e = np.random.default_rng(1).standard_normal(WINDOWS) + 90.0 * UNIT
+    allowed = allowance().whitening(np.ones(WINDOWS))
+    outside = allowed.outside(e)
+    assert outside @ UNIT == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(outside, allowed.outside(allowed.whitened(e)), atol=1e-9)
+    np.testing.assert_allclose(allowed.outside(np.column_stack([e, UNIT])), np.column_stack([outside, 0.0 * e]), atol=1e-9)
+
+
 @pytest.mark.parametrize(("size", "left"), [(2.9, 0.0), (-2.9, 0.0), (5.0, 2.0), (-50.0, -47.0)])
 def test_a_difference_counts_in_full_beyond_the_bounds(size, left):
     known = beyond(np.zeros(WINDOWS), allowance())

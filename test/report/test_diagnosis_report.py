@@ -659,6 +659,8 @@ def test_a_term_found_in_the_data_is_said_and_shown(report):
     assert layout["xaxis"]["title"]["text"] == "velocity [mm/s]"
     assert layout["yaxis"]["title"]["text"] == "force [N]"
     assert "Beyond the data it keeps the values at their ends" in shown(text)
+    formula = replace(found, term=found.term._replace(formula=(power_shape(2.04, 0.05),)))
+    assert "Beyond the data it goes on to twice their range and then keeps its value" in shown(report(formula))
     check(text)
 
 
