@@ -236,7 +236,9 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
         now = now._replace(
-            sizes=np.maximum(now.sizes * np.sqrt(grown), NEGLIGIBLE * size),
+            # A function that coefficients replace nearly would be huge to fit what is left, and is so elsewhere: none is
+            # larger than the residual itself.
+            sizes=np.clip(now.sizes * np.sqrt(grown), NEGLIGIBLE * size, np.sqrt(count) * size),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
         ).leaving(after)
     return _with_spread(now, features, default_spread, len(recordings) == 1)
