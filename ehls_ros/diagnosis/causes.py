@@ -58,7 +58,8 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         compared = [best, *others, place.without]
         main = mostly_in(best, place.without)
         # A gain over a hypothesis that differs by no more than the form of the model tells nothing.
-        told = [best if _within_form(evidence, best, j, gain, scale) else j for j in others]
+        alike = frozenset(j.hypothesis[-1].name for j in others if _within_form(evidence, best, j, gain, scale))
+        told = [best if j.hypothesis[-1].name in alike else j for j in others]
         gains = [j.per_block(scale) for j in (best, *told, place.without)]
         alone = probabilities(gains, [len(j.fit.values) for j in compared], seed)
         probability = float(alone[0])
@@ -67,7 +68,8 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         if remainder_in(evidence, best, main).doubtful:
             probability *= rules.FORM_RIGHT
         probability *= right
-        equivalent = _indistinguishable(evidence, best, others, gain, scale) | untried(evidence, best.fit, place.without.fit)
+        equivalent = _indistinguishable(evidence, best, others, alike, gain, scale)
+        equivalent |= untried(evidence, best.fit, place.without.fit)
         if getattr(EFFECTS.load(candidate.name), "NEEDS", ()):
             # The signal that it needs may have changed only with time.
             equivalent |= dict.fromkeys(drifts(evidence, best.fit, place.without.fit), ())
@@ -95,18 +97,31 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
 
 
 def _indistinguishable(
-    evidence: Evidence, best: Assessment, others: Sequence[Assessment], gain: float, scale: Mapping[Channel, float]
+    evidence: Evidence,
+    best: Assessment,
+    others: Sequence[Assessment],
+    alike: Collection[str],
+    gain: float,
+    scale: Mapping[Channel, float],
 ) -> dict[str, tuple[str, ...]]:
     """Return the effects indistinguishable from a cause in the recording, with the missing signals that would separate them.
 
     If a missing signal would separate them, every rival that explains enough of the error to be reported counts as equivalent.
     The small advantage of the cause may be due to its form, which no rig has exactly.
+
+    Args:
+        evidence: the recording compared with the given model.
+        best: the hypothesis with the cause.
+        others: the same with another effect in its place.
+        alike: names of the effects that differ from the cause by no more than errors of form.
+        gain: of the cause [nats].
+        scale: divisor of each channel's losses.
     """
     out = dict[str, tuple[str, ...]]()
     for j in others:
         behind = best.score(scale) - j.score(scale)
-        equal = behind < max(rules.EQUAL, rules.EQUAL_FRACTION * gain) or _within_form(evidence, best, j, gain, scale)
-        equal = equal and len(j.fit.values) <= len(best.fit.values)
+        near = behind < max(rules.EQUAL, rules.EQUAL_FRACTION * gain) or j.hypothesis[-1].name in alike
+        equal = near and len(j.fit.values) <= len(best.fit.values)
         if not equal and behind >= (1.0 - rules.CLOSED) * gain:
             continue
         signals = deciding(evidence, best.fit, j.fit)
