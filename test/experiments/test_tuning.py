@@ -16,7 +16,7 @@ from ehls_ros.experiments.spec import load_rig, spec_from_mapping, swinging_actu
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning import tune as tuning
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
-from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
+from ehls_ros.experiments.tuning.loop_margins import UNSTABLE, changed, margins_of, slipping
 from ehls_ros.experiments.tuning.task import held, task_of, usual
 from ehls_ros.experiments.tuning.tune import Trial, Wanted, tune
 from ehls_ros.experiments.tuning.uncertainty import LIMIT, uncertain
@@ -61,6 +61,11 @@ def test_the_gain_margin_is_the_gain_at_which_the_loop_becomes_unstable(beyond, 
     added[500] = 1e-6 * RIG.limits.spool
     moved = np.abs(stepped_run(other, added).command - stepped_run(other).command) / added[500]
     assert (moved[-100:].max() < 0.1) == stable
+
+
+def test_a_loop_that_has_lost_the_force_has_no_margins():
+    stronger = {"name": "force", "signal": {"name": "constant", "value": 6e4}}
+    assert margins_of(task_of(RIG, "fasmc", {**SHORT, "disturbance": stronger}).spec) == UNSTABLE
 
 
 def test_the_coupling_of_the_rig_file_acts_once():

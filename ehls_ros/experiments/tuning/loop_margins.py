@@ -20,6 +20,7 @@ from ehls_ros.control.disturbances.base import FORCE_RATE, VELOCITY
 from ehls_ros.control.margins import LoopMargins, loop_margins
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.stepped_run import stepped_run
+from ehls_ros.experiments.tuning.task import loses
 from ehls_ros.physics.friction import gms
 from ehls_ros.physics.rig import Rig
 
@@ -43,17 +44,19 @@ SLIPPING = 1e-6
 """Friction of the elements of a rig whose friction is left out, over the rig's."""
 
 UNSTABLE = LoopMargins(0.0, 0.0, 0.0, 0.0)
-"""Margins of an unstable loop."""
+"""Margins of an unstable loop, and of one that has lost the force: there, the valve at its limit answers no impulse."""
 
 
 def margins_of(spec: Spec) -> LoopMargins:
-    """Return the margins of an experiment's law on the rig that it knows; all zero if the loop is unstable."""
+    """Return the margins of an experiment's law on the rig that it knows; all zero if the loop is unstable or loses the force."""
     period = spec.settings.control_period
     earliest, latest, window = (round(time / period) for time in (EARLIEST, LATEST, WINDOW))
     settings = spec.settings._replace(duration=(latest + window) * period)
     smooth = changed(spec, slipping)
     smooth = smooth._replace(settings=settings, rig=smooth.rig._replace(sensors={}))
     usual = stepped_run(smooth)
+    if loses(smooth, usual.largest()):
+        return UNSTABLE
     activity = np.abs(usual.disturbance[earliest:latest, [FORCE_RATE, VELOCITY]]).max(axis=1)
     first = earliest + int(np.argmax(activity))
     added = np.zeros(smooth.cycles)

@@ -11,7 +11,8 @@ from ehls_ros.control.local_plant import speed_of
 from ehls_ros.control.references import constant, sine
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.catalogue import largest_force, room_of
-from ehls_ros.experiments.spec import COUPLING, Spec, Use, check_spec, spec_from_mapping
+from ehls_ros.experiments.metrics import MIN_LOST_ERROR
+from ehls_ros.experiments.spec import COUPLING, Spec, Use, check_spec, reference_extremes, spec_from_mapping
 from ehls_ros.physics.rig import Rig, rig_to_mapping
 
 SERVO = "position_servo"
@@ -85,6 +86,15 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
 def still(spec: Spec) -> Spec:
     """Return an experiment whose actuator under test, or disturbance force, stays at zero."""
     return spec._replace(disturbance=spec.disturbance._replace(signal=Use("constant", constant.Parameters(0.0))))
+
+
+def loses(spec: Spec, error: float) -> bool:
+    """Return whether with such a largest error [N] the force of an experiment counts as lost.
+
+    The error is compared with the largest reference, or with the rig's largest force where the reference is zero throughout.
+    """
+    wanted = max(map(abs, reference_extremes(spec))) or largest_force(spec.rig)
+    return not error < MIN_LOST_ERROR * wanted
 
 
 def held(spec: Spec) -> Spec | None:

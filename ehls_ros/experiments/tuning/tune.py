@@ -19,11 +19,10 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.margins import LoopMargins
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import limit_under
-from ehls_ros.experiments.metrics import MIN_LOST_ERROR
-from ehls_ros.experiments.spec import COMMAND_DELAY, Spec, reference_extremes
+from ehls_ros.experiments.spec import COMMAND_DELAY, Spec
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.tuning.loop_margins import UNSTABLE, changed, margins_of, slipping
-from ehls_ros.experiments.tuning.task import Task, held, still
+from ehls_ros.experiments.tuning.task import Task, held, loses, still
 from ehls_ros.experiments.tuning.uncertainty import uncertain
 from ehls_ros.parallel import Workers
 from ehls_ros.physics.rig import Rig
@@ -165,7 +164,7 @@ class Tuned(NamedTuple):
     @property
     def lost(self) -> bool:
         """Whether the numbers found do not hold the force."""
-        return not self.chosen.error < MIN_LOST_ERROR * max(map(abs, reference_extremes(self.task.spec)))
+        return loses(self.task.spec, self.chosen.error)
 
     @property
     def holds(self) -> bool:
