@@ -33,7 +33,7 @@ from ehls_ros.experiments.tuning.loop_margins import margins_of
 from ehls_ros.experiments.tuning.task import Task, servo_of
 from ehls_ros.experiments.tuning.tune import USUAL, Wanted, causal_limit_of, tune, with_numbers
 from ehls_ros.hardware.calibration import Calibration, Input, Output
-from ehls_ros.physics.rig import CHAMBER_SENSED, Rig, rig_from_mapping
+from ehls_ros.physics.rig import CHAMBER_SENSED, Rig, rig_from_mapping, rig_to_mapping
 
 PERIOD = 1e-3
 """Control period [s]."""
@@ -196,16 +196,17 @@ def with_single_rod(rig: OwnRig, number: int, seed: int) -> OwnRig:
     return rig._replace(content=content, reference={**rig.reference, "amplitude": amplitude}, amplitude=amplitude)
 
 
-def spec_of(rig: OwnRig, law: str, duration: float, **tuning: Any) -> Spec:
-    """Return the experiment of a law on a rig whose delay and coupling it knows."""
+def spec_of(rig: OwnRig, law: str, duration: float, known: Rig | None = None) -> Spec:
+    """Return the experiment of a law on a rig, which it knows as it is or as given; its defaults are those for the known one."""
     content = {
         "title": law,
         "duration": duration,
         "control_period": PERIOD,
         "rig": rig.content,
+        **({} if known is None else {"controller_rig": rig_to_mapping(known)}),
         "reference": rig.reference,
         "disturbance": rig.disturbance,
-        "controller": {"name": law, **tuning},
+        "controller": law,
     }
     return spec_from_mapping(content, law, Path())
 
@@ -379,7 +380,7 @@ def main() -> None:
             measured = commissioned(rig, seed + number, Wanted(*options.tune or USUAL))
             print(f"    commissioned: {measured.covered} of {measured.told} intervals hold {measured.trouble}", flush=True)
             known = measured.known
-            specs = {f"{law}, commissioned": spec._replace(controller_rig=known.rig) for law, spec in specs.items()}
+            specs = {f"{law}, commissioned": spec_of(rig, law, options.duration, known.rig) for law in options.laws}
             if LAW in options.laws:
                 specs[f"{LAW}, and tuned"] = with_numbers(specs[f"{LAW}, commissioned"], known.numbers)
         elif options.tune:

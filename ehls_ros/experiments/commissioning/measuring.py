@@ -13,6 +13,7 @@ from ehls_ros.arrays import Array, in_python
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import pid
 from ehls_ros.control.controllers.base import model_of, saturate
+from ehls_ros.control.disturbances.position_servo import STEADY, swinging_gain
 from ehls_ros.control.local_plant import double_rod_of, speed_of
 from ehls_ros.control.references import multi_sine
 from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency, tuned_for, viscous_friction
@@ -68,15 +69,16 @@ MOTION, HARMONICS, LOWEST = 20.0, 24, 0.15
 ROOM_PART, SPEED_PART = 0.4, 0.4
 """Largest travel of that motion over the room to the nearer end, and largest velocity over the loader's."""
 
-MOTION_FORCE = 0.3
-"""Largest force that a motion needs over the rig's largest: mass and friction are not known yet, and the oil swings."""
+MOTION_FORCE, WITH_WEIGHT = 0.3, 0.45
+"""Largest force that a motion needs over the rig's largest, without and with the weight: mass and friction are not known yet,
+and the oil swings."""
 
-POSITION_LOOP = 0.1
-"""Bandwidth of the position loop over the oil's natural frequency, of whose damping nothing is known yet."""
+LEAST_DAMPING = 0.01
+"""Rate at which the oil's swing is damped at least, over its natural frequency, however little damping the file has."""
 
-DITHER, DITHER_FORCE, HELD = 0.01, 0.1, 6
-"""Random part of the command over its largest value, its force over the rig's largest above which it is smaller, and number of
-cycles for which it is held; it shows valve and oil."""
+DITHER, DITHER_FORCE, HELD = 0.01, 0.05, 6
+"""Random part of the command over its largest value, the rms of its force over the rig's largest above which it is smaller, and
+number of cycles for which it is held; it shows valve and oil."""
 
 CREEP, CREEP_FREQUENCY, CREEP_PARTS = 20.0, 0.5, (2e-3, 0.1)
 """Slow motion: duration [s], frequency of its sine [Hz], and velocity at first and at last over the loader's. Only slow motion
@@ -91,9 +93,9 @@ PRESSINGS, PRESSED = 3, 0.5
 PRESS_BANDWIDTH, PRESS_OPENING = 10.0, 0.3
 """Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
 
-ACTUATOR = 0.15
-"""Relative error of the stiffness found, as the actuator under test yields where it holds its position: a position servo
-without integral part by up to a fifth of the travel."""
+ACTUATOR_YIELDS = 1.0
+"""Compliance of the actuator under test that holds its position, over that of its oil: none with an integral part, up to twice
+with a proportional loop that follows the leakage of its oil. Any value between is taken as equally likely."""
 
 BLOCKS, SLIDING, CORRELATED = 400, 0.6, 20.0
 """Number of blocks over which force and position are averaged; velocity over the largest from which a block counts as sliding;
@@ -267,8 +269,9 @@ def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     scale *= _allowed(rig, scale * unit)
     random = np.random.default_rng(0)
     dither = np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
-    # A mass that swings on the oil needs the force of its inertia at that frequency.
-    swing = rig.plant.moving_mass * oil_frequency(rig.plant) * DITHER * speed_of(rig)
+    # Force of the mass that swings on the oil, driven by a velocity that is random from one value held to the next.
+    lasting = HELD * session.period / (2.0 * _damping(rig))
+    swing = rig.plant.moving_mass * oil_frequency(rig.plant) ** 2 * DITHER * speed_of(rig) * math.sqrt(lasting)
     size = DITHER * min(1.0, DITHER_FORCE * largest_force(rig) / swing)
     return _following(session, rig, scale * unit, size * rig.limits.spool * dither)
 
@@ -286,11 +289,17 @@ def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
 
 def _allowed(rig: Rig, course: Array) -> float:
     """Return the factor, at most 1, on a course from mid-stroke (cycles, 3) for which its force stays small enough."""
-    plant, most = rig.plant, MOTION_FORCE * largest_force(rig)
+    plant, weight = rig.plant, rig.plant.moving_mass * rig.plant.gravity
+    most = MOTION_FORCE * largest_force(rig)
     position, velocity, acceleration = course.T
     moving: Array = plant.moving_mass * acceleration + viscous_friction(rig) * velocity + plant.spring_stiffness * position
-    left: float = most - rig.friction._asdict().get("coulomb_force", 0.0)
+    left: float = min(most, WITH_WEIGHT * largest_force(rig) - weight) - rig.friction._asdict().get("coulomb_force", 0.0)
     return min(1.0, max(left, 0.1 * most) / float(np.max(np.abs(moving))))
+
+
+def _damping(rig: Rig) -> float:
+    """Return the rate at which the oil's swing is damped by leakage and friction [1/s]."""
+    return max(swinging_gain(rig, rig.plant.moving_mass), LEAST_DAMPING * oil_frequency(rig.plant))
 
 
 def _times(session: Session, duration: float) -> Array:
@@ -310,21 +319,23 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
     times = session.period * np.arange(len(course))
     middle = 0.5 * (limits.position[0] + limits.position[1])
     tuning = tuned_for(pid.Parameters, rig)
-    calm = POSITION_LOOP * oil_frequency(rig.plant)
+    calm = STEADY * _damping(rig)
     tuning = tuning._replace(proportional=min(tuning.proportional, calm), integral=min(tuning.integral, 0.25 * calm**2))
     loop = Controller("pid", tuning, model_of(rig, session.period), None, rig.cylinder.model, rig.valve.model)
-    start = [math.nan]
+    start, weight = [math.nan], [0.0]
 
     def law(m: Array, cycle: int) -> float:
         if cycle == 0:
             start[0] = float(m[sensors.POSITION])
+            weight[0] = float(m[sensors.LOAD_PRESSURE]) if "load_pressure" in session.measured else 0.0
         # From where the piston is to mid-stroke in the first second, so that no step is asked for.
         blend = min(times[cycle], 1.0)
         wanted = blend * course[cycle]
         wanted[0] += start[0] + (middle - start[0]) * blend
         unloaded = m.copy()
-        # A command that makes up for the load takes from the oil the damping by leakage and valve.
-        unloaded[sensors.LOAD_PRESSURE] = 0.0
+        # A command that makes up for a changing load takes from the oil the damping by leakage and valve. The weight is
+        # constant; without it, the piston sinks faster than the loop may correct.
+        unloaded[sensors.LOAD_PRESSURE] = weight[0]
         unloaded[len(SENSED) :] = np.nan
         return float(loop.step(unloaded, wanted, np.zeros(2)) + blend * added[cycle])
 
@@ -332,7 +343,7 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
 
 
 def coupling(session: Session, known: Known, progress: Update) -> Outcome:
-    """Press against the actuator under test, which holds still, and measure the stiffness between both."""
+    """Press against the actuator under test, which holds still, and measure the stiffness of the coupling between both."""
     rig = known.rig
     if not {"force", "position"} <= set(session.wired):
         raise Contradiction("force or position is not wired", "bridge file", "channels for both, or the coupling by hand")
@@ -347,6 +358,7 @@ def coupling(session: Session, known: Known, progress: Update) -> Outcome:
             break
         # While friction sticks, its stiffness counts too: the next loop is slow enough.
         softer = max(1.0 + oil_stiffness / stiffness.value, softer)
+    stiffness = _without_actuator(stiffness, oil_stiffness)
     path = f"effects.{COUPLING}.stiffness"
     finding = Finding(path, _given(rig, path), stiffness)
     damping = COUPLING_DAMPING * stiffness.value
@@ -381,7 +393,7 @@ def _pressing(session: Session, rig: Rig, softer: float) -> Callable[[Array, int
 
 
 def _stiffness(recording: Trajectory, rig: Rig) -> Estimate:
-    """Return the stiffness of the coupling: the slope of the force over the position where the friction slips [N/m].
+    """Return the stiffness of coupling and actuator: the slope of the force over the position where the friction slips [N/m].
 
     Raises:
         Contradiction: the piston hardly moves, or the force does not grow with the position.
@@ -404,7 +416,20 @@ def _stiffness(recording: Trajectory, rig: Rig) -> Estimate:
     if not stiffness > 3.0 * deviation:
         what = f"the force grows by {slope:.3g} N/m with the position, {deviation:.2g} N/m uncertain"
         raise Contradiction(what, "rig", "a rod connected to the actuator under test, which holds its position")
-    return Estimate(stiffness, math.hypot(deviation, ACTUATOR * stiffness), "N/m")
+    return Estimate(stiffness, deviation, "N/m")
+
+
+def _without_actuator(both: Estimate, oil_stiffness: float) -> Estimate:
+    """Return the stiffness of the coupling alone, as the laws and the simulated rig have it beside the actuator's oil.
+
+    Args:
+        both: stiffness of coupling and actuator in series [N/m].
+        oil_stiffness: stiffness of the actuator's oil, taken to be that of the loader's [N/m].
+    """
+    # The mean of an even distribution up to twice as much, and its standard deviation. The actuator yields by no more than both.
+    yields = min(ACTUATOR_YIELDS / oil_stiffness, 0.5 / both.value)
+    stiffness = 1.0 / (1.0 / both.value - yields)
+    return Estimate(stiffness, stiffness**2 * math.hypot(both.std / both.value**2, yields / math.sqrt(3.0)), both.unit)
 
 
 def _given(rig: Rig, path: str) -> float:

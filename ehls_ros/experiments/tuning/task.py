@@ -112,7 +112,7 @@ def held(spec: Spec) -> Spec | None:
 
 
 def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
-    """Return reference and disturbance within the reach of a rig.
+    """Return reference and disturbance within the reach of a rig, for two periods of the force.
 
     Args:
         rig: the rig.
@@ -123,6 +123,7 @@ def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
     amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
     return {
         **({} if period is None else {"control_period": period}),
+        "duration": 2.0 / FREQUENCY,
         "reference": {"name": "sine", "amplitude": float(f"{amplitude:.3g}"), "frequency": FREQUENCY},
         "disturbance": servo_of(rig, {"name": "sine", "amplitude": float(f"{travel:.3g}"), "frequency": MOTION_FREQUENCY}),
     }

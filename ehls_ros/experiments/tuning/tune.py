@@ -2,10 +2,11 @@
 
 The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied one
 after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
-45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the geometric mean of
-several: on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one
-run alone scatters by 10 to 20 %, and a search would choose its luck. Margins below those asked for count as a larger error, so
-that the search returns to them from anywhere, and so does an error of a small force against an actuator under test that holds.
+45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the mean of several:
+on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one run alone
+scatters by 10 to 20 %, and a search would choose its luck; a single lost run outweighs all others. Margins below those asked for
+count as a larger error, so that the search returns to them from anywhere, and so does an error of a small force against an
+actuator under test that holds.
 """
 
 import math
@@ -44,16 +45,13 @@ BETTER = 0.98
 PER_DB, PER_DEGREE = 0.4, 0.06
 """Relative increase of the error as which each dB and each degree count that a margin lacks."""
 
-HOPELESS = 1.5
-"""Error of the first run from which no others are made, over the error of the best numbers so far with what they lack."""
-
 STEADY = 0.05
 """Swing of the error of a small force against an actuator that holds, over its amplitude, above which it counts as an error.
 
 The largest error there is that of friction when the piston breaks away, which no numbers avoid.
 """
 
-REPEATS, RIGS = 3, 2
+REPEATS, RIGS = 2, 5
 """Numbers of runs on the rig of the file, and of rigs drawn within the uncertainty."""
 
 FASTER = 4.0
@@ -89,8 +87,8 @@ class Trial(NamedTuple):
 
     Attributes:
         numbers: values of the tuned numbers by name.
-        error: geometric mean over the runs on the rig of the file of the largest error of each [N]; infinite if one is.
-        typical: the same over all runs.
+        error: mean over the runs on the rig of the file of the largest error of each [N]; infinite if one is.
+        typical: the same over all runs; of numbers given up, a lower bound.
         worst: largest error of all runs [N].
         held: swing of the error of a small force against an actuator under test that holds, over the force's amplitude; 0
             without such.
@@ -272,12 +270,14 @@ def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, fl
         beyond: error from which the numbers are given up, whatever their margins [N].
     """
     specs = [with_numbers(spec, numbers) for spec in (*exact, *rigs)]
-    errors = [stepped_run(specs[0]).largest()]
-    if errors[0] < HOPELESS * beyond:
-        errors += [stepped_run(spec).largest() for spec in specs[1:]]
-    on_file, on_all = _mean(errors[: len(exact)]), _mean(errors)
-    given_up = Trial(numbers, on_file, on_all, max(errors), math.inf, UNSTABLE)
-    if len(errors) < len(specs) or on_all >= beyond:
+    errors = list[float]()
+    for spec in specs:
+        errors.append(stepped_run(spec).largest())
+        typical = sum(errors) / len(specs)
+        if typical >= beyond:
+            break
+    given_up = Trial(numbers, _mean(errors[: len(exact)]), typical, max(errors), math.inf, UNSTABLE)
+    if typical >= beyond:
         return given_up
     holding = held(specs[0])
     unsteady = 0.0 if holding is None else stepped_run(holding).swing() / holding.reference.parameters.amplitude
@@ -285,8 +285,7 @@ def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, fl
 
 
 def _mean(errors: Sequence[float]) -> float:
-    """Return the geometric mean."""
-    return float(np.exp(np.mean(np.log(np.maximum(errors, LEAST)))))
+    return sum(errors) / len(errors)
 
 
 def without(spec: Spec) -> dict[str, Spec]:
@@ -368,6 +367,8 @@ class _Search:
         while step > LAST_STEP and len(self.trials) < MAX_TRIALS:
             improved = False
             for name in self._names:
+                if len(self.trials) >= MAX_TRIALS:
+                    break
                 self._beyond = math.exp(best.score(self._wanted))
                 value = best.numbers[name]
                 moved = {self._within(name, value * factor) for factor in (step, 1.0 / step)} - {value}
