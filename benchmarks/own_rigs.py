@@ -197,7 +197,7 @@ def with_single_rod(rig: OwnRig, number: int, seed: int) -> OwnRig:
 
 
 def spec_of(rig: OwnRig, law: str, duration: float, known: Rig | None = None) -> Spec:
-    """Return the experiment of a law on a rig, which it knows as it is or as given; its defaults are those for the known one."""
+    """Return the experiment of a law on a rig, with the law's defaults for the rig that it knows: the true one or ``known``."""
     content = {
         "title": law,
         "duration": duration,

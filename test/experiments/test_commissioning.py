@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.emulated import EmulatedDevice
 from ehls_ros.errors import BadInput
-from ehls_ros.experiments.commissioning import conduct
+from ehls_ros.experiments.commissioning import conduct, measuring
 from ehls_ros.experiments.commissioning import first_run as first_run_module
 from ehls_ros.experiments.commissioning.conduct import STEPS, commission
 from ehls_ros.experiments.commissioning.first_run import first_run, law_tuned
@@ -106,12 +106,24 @@ def test_a_supply_pressure_in_another_unit_is_named(factor, unit):
         at_rest(session(rewired("supply_pressure", factor)), Known(RIG), silent)
 
 
-def test_the_coupling_to_a_held_actuator_is_found():
-    outcome = coupling(session(disturbance=HELD), Known(RIG), silent)
+@pytest.mark.parametrize("gain", [4.0, 30.0])
+def test_the_coupling_to_an_actuator_that_yields_where_it_holds_is_found(gain):
+    outcome = coupling(session(disturbance={**HELD, "position_gain": gain}), Known(RIG), silent)
     [finding] = outcome.findings
     assert abs(finding.found.value - 2e6) < 2.0 * finding.found.std
     [told] = [use for use in outcome.rig.effects if use.name == "coupling_stiffness"]
     assert told.parameters.stiffness == finding.found.value
+
+
+def test_a_heavy_mass_on_hardly_damped_oil_moves_within_the_gate(monkeypatch):
+    heavy = RIG.with_plant(moving_mass=450.0, leakage_coefficient=1e-12)
+    heavy = heavy.with_friction(viscous_coefficient=0.0, coulomb_force=200.0, static_force=250.0)
+    found = SimpleNamespace(rig=heavy, estimates={}, remarks=(), not_identifiable={})
+    monkeypatch.setattr(measuring, "identify_whole_rig", lambda *_, **__: found)
+    wired = bridge_from_mapping(BRIDGE, "bridge file").calibration
+    one = Session(device(rig=heavy), wired, heavy, 1e-3, lockstep=True)
+    moved = motion(one, Known(heavy), silent).recordings["motion"]
+    assert np.ptp(moved["position_m"]) > 0.05 * 0.6
 
 
 def test_without_a_connected_rod_there_is_no_coupling():

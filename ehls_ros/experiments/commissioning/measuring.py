@@ -426,7 +426,7 @@ def _without_actuator(both: Estimate, oil_stiffness: float) -> Estimate:
         both: stiffness of coupling and actuator in series [N/m].
         oil_stiffness: stiffness of the actuator's oil, taken to be that of the loader's [N/m].
     """
-    # The mean of an even distribution up to twice as much, and its standard deviation. The actuator yields by no more than both.
+    # Mean of an even distribution up to twice as much, and its standard deviation. The actuator yields by no more than both.
     yields = min(ACTUATOR_YIELDS / oil_stiffness, 0.5 / both.value)
     stiffness = 1.0 / (1.0 / both.value - yields)
     return Estimate(stiffness, stiffness**2 * math.hypot(both.std / both.value**2, yields / math.sqrt(3.0)), both.unit)

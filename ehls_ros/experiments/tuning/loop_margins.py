@@ -48,7 +48,7 @@ UNSTABLE = LoopMargins(0.0, 0.0, 0.0, 0.0)
 
 
 def margins_of(spec: Spec) -> LoopMargins:
-    """Return the margins of an experiment's law on the rig that it knows; all zero if the loop is unstable or loses the force."""
+    """Return the margins of a law on the rig that it knows; all zero if its loop is unstable or loses the force."""
     period = spec.settings.control_period
     earliest, latest, window = (round(time / period) for time in (EARLIEST, LATEST, WINDOW))
     settings = spec.settings._replace(duration=(latest + window) * period)

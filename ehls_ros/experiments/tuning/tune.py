@@ -3,8 +3,8 @@
 The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied one
 after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
 45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the mean of several:
-on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one run alone
-scatters by 10 to 20 %, and a search would choose its luck; a single lost run outweighs all others. Margins below those asked for
+on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one run
+scatters by 10 to 20 %, and a search would choose its luck; one lost run outweighs all others. Margins below those asked for
 count as a larger error, so that the search returns to them from anywhere, and so does an error of a small force against an
 actuator under test that holds.
 """
