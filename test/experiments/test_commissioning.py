@@ -19,6 +19,7 @@ from ehls_ros.experiments.commissioning.step import Contradiction, Known, after
 from ehls_ros.experiments.files import config_folder, configured
 from ehls_ros.experiments.spec import load_rig, spec_from_mapping
 from ehls_ros.hardware.bridge_file import bridge_from_mapping
+from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
 from ehls_ros.recording.yaml_text import read_yaml
 
@@ -98,6 +99,18 @@ def test_right_signs_move_the_piston_a_little():
     recording = nudge(session(), Known(RIG), silent).recordings["nudge"]
     assert 1e-4 < np.ptp(recording["position_m"]) < 0.1 * (RIG.limits.position[1] - RIG.limits.position[0])
     assert np.max(np.abs(recording["valve_command_m"])) <= 0.3 * RIG.limits.spool
+
+
+def test_a_sensor_that_rounds_more_than_its_converter_is_known_once_it_moves():
+    step, converter = 2e-5, 6.1e-6
+    coarse = RIG._replace(sensors={**RIG.sensors, "position": Sensor(resolution=step)})
+    wired = bridge_from_mapping(BRIDGE, "bridge file").calibration
+    one = Session(device(rig=coarse), wired, RIG, 1e-3, lockstep=True)
+    known = Known(RIG._replace(sensors={}))
+    for measure in (at_rest, nudge):
+        known = after(known, measure(one, known, silent))
+    assert one.resolution("position") < converter
+    assert known.rig.sensors["position"].reading_std == pytest.approx(step / math.sqrt(12.0), rel=0.3)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-5, "bar"), (1e-6, "MPa")])

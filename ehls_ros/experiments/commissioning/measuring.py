@@ -139,7 +139,7 @@ def _check_supply(recording: Trajectory, rig: Rig) -> None:
 
 
 def nudge(session: Session, known: Known, progress: Update) -> Outcome:
-    """Open the valve a little to each side, and compare the signs of the readings."""
+    """Open the valve a little to each side, compare the signs of the readings, and find their steps."""
     rig, limits = known.rig, known.rig.limits
     stroke = limits.position[1] - limits.position[0]
     noise = rig.sensors.get("position", Sensor()).noise_std
@@ -159,7 +159,7 @@ def nudge(session: Session, known: Known, progress: Update) -> Outcome:
         if abs(moved) >= needed:
             _check_signs(recording, session, moved)
             sentence = f"an opening of {100.0 * part:g} % moves the piston by {1e3 * abs(moved):.3g} mm in {PULSE:g} s"
-            return Outcome(rig, (), (sentence,), {"nudge": recording})
+            return Outcome(_with_steps(rig, recording, session), (), (sentence,), {"nudge": recording})
     what = f"an opening of {100.0 * NUDGES[-1]:g} % moves the piston by {1e3 * abs(moved):.3g} mm only"
     raise Contradiction(what, "rig", "a running pump, an open shut-off valve, and a wired command and position")
 
@@ -187,6 +187,22 @@ def _check_force(recording: Trajectory, session: Session, rig: Rig) -> None:
 def _scale_of(signal: str, session: Session) -> str:
     """Return the keys of a bridge file that scale a signal."""
     return f"channels.{signal}.scale" if signal in session.wired else " or ".join(f"channels.{s}.scale" for s in CHAMBER_SENSED)
+
+
+def _with_steps(rig: Rig, recording: Trajectory, session: Session) -> Rig:
+    """Return the rig with the steps of its sensors' readings, of which a moving one shows the smallest.
+
+    A sensor may round to larger steps than its converter. At rest, its reading then stays on one of them and hides the noise.
+    """
+    described = dict(rig.sensors)
+    for signal in described.keys() & set(session.wired):
+        changes = np.abs(np.diff(recording[READINGS[signal]]))
+        changes = changes[changes > 0.5 * session.resolution(signal)]
+        if changes.size:
+            sensor, resolution = described[signal], float(np.min(changes))
+            noise = math.sqrt(max(sensor.reading_std**2 - resolution**2 / 12.0, 0.0))
+            described[signal] = sensor._replace(noise_std=noise, resolution=resolution)
+    return rig._replace(sensors=described)
 
 
 def _nudged(session: Session, opening: float, stroke: float) -> Trajectory:

@@ -22,7 +22,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.experiments.causal_limit import limit_under
 from ehls_ros.experiments.spec import COMMAND_DELAY, Spec
 from ehls_ros.experiments.stepped_run import stepped_run
-from ehls_ros.experiments.tuning.loop_margins import UNSTABLE, changed, margins_of, slipping
+from ehls_ros.experiments.tuning.loop_margins import changed, margins_of, slipping
 from ehls_ros.experiments.tuning.task import Task, held, loses, still
 from ehls_ros.experiments.tuning.uncertainty import uncertain
 from ehls_ros.parallel import Workers
@@ -88,8 +88,8 @@ class Trial(NamedTuple):
     Attributes:
         numbers: values of the tuned numbers by name.
         error: mean over the runs on the rig of the file of the largest error of each [N]; infinite if one is.
-        typical: the same over all runs; of numbers given up, a lower bound.
-        worst: largest error of all runs [N].
+        typical: the same over all runs; infinite for numbers given up.
+        worst: largest error of all runs made [N].
         held: swing of the error of a small force against an actuator under test that holds, over the force's amplitude; 0
             without such.
         margins: margins of the loop.
@@ -260,28 +260,29 @@ def causal_limit_of(spec: Spec) -> float:
     return math.nan if limit is None else limit.largest
 
 
-def judged(exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, float], beyond: float) -> Trial:
+def judged(
+    exact: Sequence[Spec], rigs: Sequence[Spec], numbers: Mapping[str, float], wanted: Wanted, beyond: float = math.inf
+) -> Trial:
     """Return the results of a set of numbers.
 
     Args:
         exact: the experiment on the rig of the file, with different noise.
         rigs: the experiment on rigs within the uncertainty.
         numbers: values by name.
-        beyond: error from which the numbers are given up, whatever their margins [N].
+        wanted: margins asked for.
+        beyond: logarithm of the error, with what is lacking, from which the numbers are given up.
     """
     specs = [with_numbers(spec, numbers) for spec in (*exact, *rigs)]
+    holding = held(specs[0])
+    unsteady = 0.0 if holding is None else stepped_run(holding).swing() / holding.reference.parameters.amplitude
+    found = Trial(numbers, math.nan, math.nan, math.nan, unsteady, margins_of(specs[0]))
     errors = list[float]()
     for spec in specs:
         errors.append(stepped_run(spec).largest())
-        typical = sum(errors) / len(specs)
-        if typical >= beyond:
-            break
-    given_up = Trial(numbers, _mean(errors[: len(exact)]), typical, max(errors), math.inf, UNSTABLE)
-    if typical >= beyond:
-        return given_up
-    holding = held(specs[0])
-    unsteady = 0.0 if holding is None else stepped_run(holding).swing() / holding.reference.parameters.amplitude
-    return given_up._replace(held=unsteady, margins=margins_of(specs[0]))
+        found = found._replace(error=_mean(errors[: len(exact)]), typical=sum(errors) / len(specs), worst=max(errors))
+        if found.score(wanted) >= beyond:
+            return found._replace(typical=math.inf)
+    return found
 
 
 def _mean(errors: Sequence[float]) -> float:
@@ -337,7 +338,7 @@ class _Search:
     def all(self, sets: Sequence[Mapping[str, float]]) -> list[Trial]:
         """Return the results of several sets of numbers."""
         within = [{name: self._within(name, given.get(name, self._start[name])) for name in self._names} for given in sets]
-        tasks = [partial(judged, self._exact, self._rigs, numbers, self._beyond) for numbers in within]
+        tasks = [partial(judged, self._exact, self._rigs, numbers, self._wanted, self._beyond) for numbers in within]
         found: list[Trial] = self._workers.run(tasks)
         self.trials += found
         if self._progress is not None:
@@ -369,7 +370,7 @@ class _Search:
             for name in self._names:
                 if len(self.trials) >= MAX_TRIALS:
                     break
-                self._beyond = math.exp(best.score(self._wanted))
+                self._beyond = best.score(self._wanted)
                 value = best.numbers[name]
                 moved = {self._within(name, value * factor) for factor in (step, 1.0 / step)} - {value}
                 trials = self.all([{**best.numbers, name: number} for number in sorted(moved)])
