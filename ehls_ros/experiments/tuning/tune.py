@@ -1,7 +1,7 @@
 """Find the numbers of a control law for a rig: the least error that holds within the file's uncertainty and the margins.
 
-The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied one
-after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
+The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied all
+together at first, then one after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
 45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the mean of several:
 on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one run
 scatters by 10 to 20 %, and a search would choose its luck; one lost run outweighs all others. Margins below those asked for
@@ -61,7 +61,7 @@ MAX_TRIALS = 70
 """Largest number of sets of numbers tried by the search."""
 
 SPEEDS = (0.15, 0.3, 0.55, 1.0, 1.8, 3.3, 6.0)
-"""Factors on all tuned rates together for the trade-off curve."""
+"""Factors on all tuned rates together: the first sets tried, and those of the trade-off curve."""
 
 Progress = Callable[[int, int], None]
 
@@ -363,8 +363,10 @@ class _Search:
         return min(equal, key=lambda trial: (trial.lacking(self._wanted) > 0.0, trial.score(self._wanted)))
 
     def improve(self, start: Trial) -> None:
-        """Try sets of numbers, each better than the one before, from a start."""
-        best, step = start, FIRST_STEP
+        """Try all numbers of a start faster or slower together, then sets each better than the one before."""
+        self._beyond = start.score(self._wanted)
+        self.all([self.faster(start.numbers, speed) for speed in SPEEDS if speed != 1.0])
+        best, step = self.choice(), FIRST_STEP
         while step > LAST_STEP and len(self.trials) < MAX_TRIALS:
             improved = False
             for name in self._names:
