@@ -1,12 +1,12 @@
 """Find the numbers of a control law for a rig: the least error that holds within the file's uncertainty and the margins.
 
 The law's file names the numbers that are tuned (``TUNED``). Each is a factor on its default for the rig. Factors are varied all
-together at first, then one after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda, Lewis, Torczon, SIAM Review
-45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a run, as the mean of several:
-on the rig of the file, with different noise of the sensors, and on rigs drawn within its uncertainty. The error of one run
-scatters by 10 to 20 %, and a search would choose its luck; one lost run outweighs all others. Margins below those asked for
-count as a larger error, so that the search returns to them from anywhere, and so does an error of a small force against an
-actuator under test that holds.
+together at first, then one after another, up and down, by a step that shrinks when nothing improves (coordinate search: Kolda,
+Lewis, Torczon, SIAM Review 45, 2003). A set of numbers is judged by the largest error of the true force in the last half of a
+run, as the mean of several: on the rig of the file, with different noise of the sensors, and on rigs drawn within its
+uncertainty. The error of one run scatters by 10 to 20 %, and a search would choose its luck; one lost run outweighs all others.
+Margins below those asked for count as a larger error, so that the search returns to them from anywhere, and so does an error of
+a small force against an actuator under test that holds.
 """
 
 import math
