@@ -20,7 +20,7 @@ from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.analysis import identify_whole_rig
 from ehls_ros.experiments.catalogue import largest_force, room_of
-from ehls_ros.experiments.commissioning.session import Session, Stopped
+from ehls_ros.experiments.commissioning.session import TRIP_LEVEL, Session, Stopped
 from ehls_ros.experiments.commissioning.step import Contradiction, Finding, Known, Outcome
 from ehls_ros.experiments.spec import COUPLING
 from ehls_ros.identification.rig_coefficients import read, uses
@@ -69,16 +69,15 @@ MOTION, HARMONICS, LOWEST = 20.0, 24, 0.15
 ROOM_PART, SPEED_PART = 0.4, 0.4
 """Largest travel of that motion over the room to the nearer end, and largest velocity over the loader's."""
 
-MOTION_FORCE, WITH_WEIGHT = 0.3, 0.45
-"""Largest force that a motion needs over the rig's largest, without and with the weight: mass and friction are not known yet,
-and the oil swings."""
+MOTION_FORCE = 0.5
+"""Largest force that a motion needs over that left beside the weight: mass and friction are not known yet, the oil swings."""
 
 LEAST_DAMPING = 0.01
 """Rate at which the oil's swing is damped at least, over its natural frequency, however little damping the file has."""
 
-DITHER, DITHER_FORCE, HELD = 0.01, 0.05, 6
-"""Random part of the command over its largest value, the rms of its force over the rig's largest above which it is smaller, and
-number of cycles for which it is held; it shows valve and oil."""
+DITHER, DITHER_FORCE, HELD = 0.01, 0.1, 6
+"""Random part of the command over its largest value, the rms of its force over that left beside the weight above which it is
+smaller, and number of cycles for which it is held; it shows valve and oil."""
 
 CREEP, CREEP_FREQUENCY, CREEP_PARTS = 20.0, 0.5, (2e-3, 0.1)
 """Slow motion: duration [s], frequency of its sine [Hz], and velocity at first and at last over the loader's. Only slow motion
@@ -267,32 +266,42 @@ def _check_signs(recording: Trajectory, session: Session, moved: float) -> None:
 def motion(session: Session, known: Known, progress: Update) -> Outcome:
     """Move the piston by sines of many frequencies with a random part of the command, then slowly, and identify the rig."""
     rig = known.rig
-    session.record(None, LOOK)
-    recordings = {"motion": session.record(_rich_motion(session, rig), MOTION)}
-    session.record(None, LOOK)
-    recordings["slow_motion"] = session.record(_slow_motion(session, rig), CREEP)
+    if not {"force", "load_pressure"} & set(session.measured):
+        raise Contradiction("neither force nor load pressure is wired", "bridge file", "a channel for one of both")
+    recordings = dict[str, Trajectory]()
+    for name, moving, duration in (("motion", _rich_motion, MOTION), ("slow_motion", _slow_motion, CREEP)):
+        resting = _load_pressure(session.record(None, LOOK), rig)
+        recordings[name] = session.record(moving(session, rig, resting), duration)
     found = identify_whole_rig(recordings, rig, seed=0, progress=progress)
     findings = tuple(Finding(path, _given(rig, path), estimate) for path, estimate in found.estimates.items())
     unknown = tuple(f"{path} is not identified: {why}" for path, why in found.not_identifiable.items())
     return Outcome(found.rig, findings, (*found.remarks, *unknown), recordings)
 
 
-def _rich_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
+def _load_pressure(recording: Trajectory, rig: Rig) -> float:
+    """Return the mean load pressure [Pa]; at rest, it carries the weight."""
+    if "load_pressure_pa" in recording:
+        return float(np.mean(recording["load_pressure_pa"]))
+    return float(np.mean(recording["force_n"])) / rig.plant.piston_area
+
+
+def _rich_motion(session: Session, rig: Rig, resting: float) -> Callable[[Array, int], float]:
     times = _times(session, MOTION)
     unit = multi_sine.sample(times, multi_sine.Parameters(1.0, LOWEST, HARMONICS))
     speed = SPEED_PART * speed_of(rig)
     scale = min(ROOM_PART * room_of(rig) / np.max(np.abs(unit[:, 0])), speed / np.max(np.abs(unit[:, 1])))
-    scale *= _allowed(rig, scale * unit)
+    left = _force_left(rig, resting)
+    scale *= _allowed(rig, scale * unit, left)
     random = np.random.default_rng(0)
     dither = np.repeat(random.choice([-1.0, 1.0], len(times) // HELD + 1), HELD)[: len(times)]
     # Force of the mass that swings on the oil, driven by a velocity that is random from one value held to the next.
     lasting = HELD * session.period / (2.0 * _damping(rig))
     swing = rig.plant.moving_mass * oil_frequency(rig.plant) ** 2 * DITHER * speed_of(rig) * math.sqrt(lasting)
-    size = DITHER * min(1.0, DITHER_FORCE * largest_force(rig) / swing)
-    return _following(session, rig, scale * unit, size * rig.limits.spool * dither)
+    size = DITHER * min(1.0, DITHER_FORCE * left / swing)
+    return _following(session, rig, resting, scale * unit, size * rig.limits.spool * dither)
 
 
-def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
+def _slow_motion(session: Session, rig: Rig, resting: float) -> Callable[[Array, int], float]:
     """Return a sine whose velocity grows exponentially, so that each velocity has as many periods as any other."""
     times, turn = _times(session, CREEP), 2.0 * math.pi * CREEP_FREQUENCY
     first, last = (part * speed_of(rig) for part in CREEP_PARTS)
@@ -300,17 +309,22 @@ def _slow_motion(session: Session, rig: Rig) -> Callable[[Array, int], float]:
     rate = math.log(last / first) / CREEP + 1j * turn
     wave = first / turn * np.exp(rate * times)
     wanted = np.stack([(rate**derivative * wave).imag for derivative in range(3)], axis=1)
-    return _following(session, rig, _allowed(rig, wanted) * wanted, np.zeros(len(times)))
+    allowed = _allowed(rig, wanted, _force_left(rig, resting))
+    return _following(session, rig, resting, allowed * wanted, np.zeros(len(times)))
 
 
-def _allowed(rig: Rig, course: Array) -> float:
-    """Return the factor, at most 1, on a course from mid-stroke (cycles, 3) for which its force stays small enough."""
-    plant, weight = rig.plant, rig.plant.moving_mass * rig.plant.gravity
-    most = MOTION_FORCE * largest_force(rig)
+def _force_left(rig: Rig, resting: float) -> float:
+    """Return the force left up to the gate's limit beside the weight, which the load pressure at rest carries [N]."""
+    return max(TRIP_LEVEL * largest_force(rig) - rig.plant.piston_area * abs(resting), 0.0)
+
+
+def _allowed(rig: Rig, course: Array, left: float) -> float:
+    """Return the factor, at most 1, on a course from mid-stroke (cycles, 3) for which its force stays within that left [N]."""
+    plant, most = rig.plant, MOTION_FORCE * left
     position, velocity, acceleration = course.T
     moving: Array = plant.moving_mass * acceleration + viscous_friction(rig) * velocity + plant.spring_stiffness * position
-    left: float = min(most, WITH_WEIGHT * largest_force(rig) - weight) - rig.friction._asdict().get("coulomb_force", 0.0)
-    return min(1.0, max(left, 0.1 * most) / float(np.max(np.abs(moving))))
+    unrubbed: float = most - rig.friction._asdict().get("coulomb_force", 0.0)
+    return min(1.0, max(unrubbed, 0.1 * most) / float(np.max(np.abs(moving))))
 
 
 def _damping(rig: Rig) -> float:
@@ -322,12 +336,13 @@ def _times(session: Session, duration: float) -> Array:
     return session.period * np.arange(round(duration / session.period) + 1, dtype=np.float64)
 
 
-def _following(session: Session, rig: Rig, course: Array, added: Array) -> Callable[[Array, int], float]:
+def _following(session: Session, rig: Rig, resting: float, course: Array, added: Array) -> Callable[[Array, int], float]:
     """Return the command by which the piston follows a course around mid-stroke.
 
     Args:
         session: the session.
         rig: the rig.
+        resting: load pressure at rest [Pa].
         course: position, velocity and acceleration from mid-stroke in each cycle, shape (cycles, 3).
         added: what is added to the command, shape (cycles,) [m].
     """
@@ -338,12 +353,11 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
     calm = STEADY * _damping(rig)
     tuning = tuning._replace(proportional=min(tuning.proportional, calm), integral=min(tuning.integral, 0.25 * calm**2))
     loop = Controller("pid", tuning, model_of(rig, session.period), None, rig.cylinder.model, rig.valve.model)
-    start, weight = [math.nan], [0.0]
+    start = [math.nan]
 
     def law(m: Array, cycle: int) -> float:
         if cycle == 0:
             start[0] = float(m[sensors.POSITION])
-            weight[0] = float(m[sensors.LOAD_PRESSURE]) if "load_pressure" in session.measured else 0.0
         # From where the piston is to mid-stroke in the first second, so that no step is asked for.
         blend = min(times[cycle], 1.0)
         wanted = blend * course[cycle]
@@ -351,7 +365,7 @@ def _following(session: Session, rig: Rig, course: Array, added: Array) -> Calla
         unloaded = m.copy()
         # A command that makes up for a changing load takes from the oil the damping by leakage and valve. The weight is
         # constant; without it, the piston sinks faster than the loop may correct.
-        unloaded[sensors.LOAD_PRESSURE] = weight[0]
+        unloaded[sensors.LOAD_PRESSURE] = resting
         unloaded[len(SENSED) :] = np.nan
         return float(loop.step(unloaded, wanted, np.zeros(2)) + blend * added[cycle])
 
