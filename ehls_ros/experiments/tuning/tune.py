@@ -408,8 +408,12 @@ def _remarks(found: Tuned, tried: Sequence[Trial]) -> list[str]:
     if not chosen.has(wanted):
         reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
         asked = f"{wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees"
-        costs = [trial.error for trial in tried if trial.has(wanted)]
-        known = f"with {asked} the error is {min(costs):.3g} N at least" if costs else f"no numbers tried have {asked}"
+        costs = [trial.error for trial in tried if trial.has(wanted) and trial.typical < math.inf]
+        known = (
+            f"with {asked} the error is {min(costs):.3g} N at least"
+            if costs
+            else f"no numbers tried with {asked} are worth their error"
+        )
         remarks.append(f"{reached}; {known}")
     holding = held(found.spec)
     if holding is not None and chosen.held > STEADY:
