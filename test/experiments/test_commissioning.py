@@ -119,7 +119,7 @@ def test_a_supply_pressure_in_another_unit_is_named(factor, unit):
         at_rest(session(rewired("supply_pressure", factor)), Known(RIG), silent)
 
 
-@pytest.mark.parametrize("gain", [4.0, 30.0])
+@pytest.mark.parametrize("gain", [10.0, 30.0])
 def test_the_coupling_to_an_actuator_that_yields_where_it_holds_is_found(gain):
     outcome = coupling(session(disturbance={**HELD, "position_gain": gain}), Known(RIG), silent)
     [finding] = outcome.findings

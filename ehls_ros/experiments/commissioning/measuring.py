@@ -13,7 +13,7 @@ from ehls_ros.arrays import Array, in_python
 from ehls_ros.control.controller import Controller
 from ehls_ros.control.controllers import pid
 from ehls_ros.control.controllers.base import model_of, saturate
-from ehls_ros.control.disturbances.position_servo import STEADY, swinging_gain
+from ehls_ros.control.disturbances.position_servo import STEADY, steady_gain, swinging_gain
 from ehls_ros.control.local_plant import double_rod_of, speed_of
 from ehls_ros.control.references import multi_sine
 from ehls_ros.control.rig_scale import compression, largest_speed, oil_frequency, tuned_for, viscous_friction
@@ -92,9 +92,9 @@ PRESSINGS, PRESSED = 3, 0.5
 PRESS_BANDWIDTH, PRESS_OPENING = 10.0, 0.3
 """Bandwidth of the force loop with a coupling as stiff as the oil [1/s]; largest opening over the largest spool command."""
 
-ACTUATOR_YIELDS = 1.0
-"""Compliance of the actuator under test that holds its position, over that of its oil: none with an integral part, up to twice
-with a proportional loop that follows the leakage of its oil. Any value between is taken as equally likely."""
+ACTUATOR_YIELDS = 1.0 / math.sqrt(3.0)
+"""Standard error of the compliance of the actuator under test that holds its position, over that of its oil: with an integral
+part it yields by nothing, with a proportional loop by up to twice that, and any value between is as likely."""
 
 BLOCKS, SLIDING, CORRELATED = 400, 0.6, 20.0
 """Number of blocks over which force and position are averaged; velocity over the largest from which a block counts as sliding;
@@ -388,7 +388,7 @@ def coupling(session: Session, known: Known, progress: Update) -> Outcome:
             break
         # While friction sticks, its stiffness counts too: the next loop is slow enough.
         softer = max(1.0 + oil_stiffness / stiffness.value, softer)
-    stiffness = _without_actuator(stiffness, oil_stiffness)
+    stiffness = _without_actuator(stiffness, rig, oil_stiffness)
     path = f"effects.{COUPLING}.stiffness"
     finding = Finding(path, _given(rig, path), stiffness)
     damping = COUPLING_DAMPING * stiffness.value
@@ -449,17 +449,22 @@ def _stiffness(recording: Trajectory, rig: Rig) -> Estimate:
     return Estimate(stiffness, deviation, "N/m")
 
 
-def _without_actuator(both: Estimate, oil_stiffness: float) -> Estimate:
+def _without_actuator(both: Estimate, rig: Rig, oil_stiffness: float) -> Estimate:
     """Return the stiffness of the coupling alone, as the laws and the simulated rig have it beside the actuator's oil.
 
     Args:
         both: stiffness of coupling and actuator in series [N/m].
-        oil_stiffness: stiffness of the actuator's oil, taken to be that of the loader's [N/m].
+        rig: the rig. The actuator is taken to be like its loader, and to hold its position by a proportional loop, which makes
+            up for the leakage.
+        oil_stiffness: stiffness of its oil [N/m].
     """
-    # Mean of an even distribution up to twice as much, and its standard deviation. The actuator yields by no more than both.
-    yields = min(ACTUATOR_YIELDS / oil_stiffness, 0.5 / both.value)
+    plant, half = rig.plant, 0.5 / both.value
+    # Where it is as stiff as the coupling or less, no more than half of the compliance counts as the actuator's.
+    leaking = plant.leakage_coefficient > 0.0
+    yields = min(plant.leakage_coefficient / (steady_gain(rig) * plant.piston_area**2), half) if leaking else 0.0
     stiffness = 1.0 / (1.0 / both.value - yields)
-    return Estimate(stiffness, stiffness**2 * math.hypot(both.std / both.value**2, yields / math.sqrt(3.0)), both.unit)
+    deviation = math.hypot(both.std / both.value**2, ACTUATOR_YIELDS * min(1.0 / oil_stiffness, half))
+    return Estimate(stiffness, stiffness**2 * deviation, both.unit)
 
 
 def _given(rig: Rig, path: str) -> float:
