@@ -18,7 +18,7 @@ from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis
 from ehls_ros.diagnosis.loss import inflation, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.stages import Channel
-from ehls_ros.diagnosis.starts import FITTED, PROMISING, Starts
+from ehls_ros.diagnosis.starts import FITTED, PROMISING, Starts, leading
 
 MAX_CAUSES = 3
 """Most causes that are sought together."""
@@ -147,9 +147,16 @@ def _added(
         level: the same with one more cause.
         progress: called with the progress.
     """
+    given, beam = best, [best]
     for count in range(1, MAX_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
-        ranked = [j for j in _ranked(level, scale) if accepted(evidence, j, best, scale)]
+        parents = {_key(member.hypothesis): member for member in beam}
+        ranked = [
+            j
+            for j in _ranked(level, scale)
+            if accepted(evidence, j, parents[_key(j.hypothesis[:-1])], scale)
+            and (accepted(evidence, j, best, scale) or _leaner(j, best, given, scale))
+        ]
         if not ranked:
             break
         best = ranked[0]
@@ -159,6 +166,12 @@ def _added(
         level = fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
     return best, scale
+
+
+def _leaner(more: Assessment, best: Assessment, given: Assessment, scale: Mapping[Channel, float]) -> bool:
+    """Return whether a hypothesis with more causes has fewer parameters, and explains nearly as much."""
+    nearly = (1.0 - rules.SIMPLER) * (best.score(scale) - given.score(scale))
+    return len(more.fit.values) < len(best.fit.values) and more.score(scale) - given.score(scale) > nearly
 
 
 def explaining(
@@ -190,7 +203,7 @@ def fitted(
         evidence: the recording compared with the given model.
         pool: the threads.
         starts: starting points of the fits.
-        keep: number of fits to complete.
+        keep: number of fits to complete, beside the first of each group of effects.
         rival: hypothesis a fit must come near, besides the best fit, to be continued beyond the usual steps.
     """
 
@@ -205,7 +218,8 @@ def fitted(
 
     stepped = pool.map(Worker.first_step, starts)
     order = sorted(range(len(starts)), key=lambda i: -_gain(evidence, stepped[i]))
-    fits = pool.map(go, [(starts[i], stepped[i]) for i in order[:keep]])
+    chosen = [order[i] for i in leading([stepped[i] for i in order], keep)]
+    fits = pool.map(go, [(starts[i], stepped[i]) for i in chosen])
     fits.sort(key=lambda f: -_gain(evidence, f))
     reach = REACH * max([_gain(evidence, f) for f in [*fits[:1], *([rival.fit] if rival is not None else [])]], default=0.0)
 

@@ -16,6 +16,7 @@ from ehls_ros.diagnosis.loss import CLIP, gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import LOAD
 from ehls_ros.diagnosis.stages import Channel
+from ehls_ros.physics.effects import EFFECTS
 
 PROMISING = 5.0
 """Predicted gain above which a hypothesis is fitted [nat]."""
@@ -24,7 +25,7 @@ MORE_PROMISING = 1.5
 """Ratio of predicted gains above which another start replaces the one that is best alone."""
 
 FITTED = 5
-"""Hypotheses fitted to the end, of those tried together, and most rivals of a cause."""
+"""Hypotheses fitted to the end, of those tried together and beside the first of each group, and most rivals of a cause."""
 
 LINES = 3
 """Spectral lines of a residual from which periodic disturbances start."""
@@ -123,7 +124,8 @@ class Starts:
             key = cause.name, cause.number
             if start.promise > max(least, promises[key].promise if key in promises else 0.0):
                 promises[key] = start
-        return sorted(promises.values(), key=lambda start: -start.promise)[:FITTED]
+        ranked = sorted(promises.values(), key=lambda start: -start.promise)
+        return [ranked[i] for i in leading([start.fit for start in ranked], FITTED)]
 
     def _at_lines(self, member: Assessment) -> list[Fit]:
         """Return single-frequency causes at the spectral lines of a hypothesis' residual, which its causes may have masked."""
@@ -151,6 +153,19 @@ class Starts:
         fits = starts if self.tried.few is self.pool.evidence else self.pool.map(_linearised, starts)
         self._complete.update(zip(missing, fits, strict=True))
         return [fit for key in keys if (fit := self._complete[key]) is not None]
+
+
+def leading(ranked: Sequence[Fit], count: int) -> list[int]:
+    """Return the indices of the first hypotheses, and of the first whose last cause is of each group not among them.
+
+    Two causes in one stage may explain more than the best pair from two, and each alone less than a cause elsewhere.
+
+    Args:
+        ranked: hypotheses, best first.
+        count: number of hypotheses regardless of their group.
+    """
+    groups = [EFFECTS.load(fit.hypothesis[-1].name).GROUP for fit in ranked]
+    return [i for i, group in enumerate(groups) if i < count or group not in groups[:i]]
 
 
 def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
