@@ -130,8 +130,8 @@ class Learnt(NamedTuple):
         together: number of windows with correlated errors.
         error: relative standard deviation of the error that each coefficient may have, shape (terms,).
         fitted: mask of the fitted coefficients; an error of the others is possible but not estimated, shape (terms,).
-        spread: relative standard deviation of each coefficient from recording to recording, shape (terms,).
-        changing: the same of each function, relative to its size, shape (functions,).
+        varying: covariance of the coefficients from recording to recording, in units of their errors, shape (terms, terms).
+        changing: standard deviation of each function from recording to recording, relative to its size, shape (functions,).
         power: mean square of the residual, and of its rest on held-out stretches.
     """
 
@@ -144,9 +144,15 @@ class Learnt(NamedTuple):
     together: float
     error: Array
     fitted: Mask
-    spread: Array
+    varying: Array
     changing: Array
     power: tuple[float, float]
+
+    @property
+    def spread(self) -> Array:
+        """Relative standard deviation of each coefficient from recording to recording, shape (terms,)."""
+        found: Array = np.sqrt(np.diag(self.varying)) * self.error
+        return found
 
     def expected(self, terms: Array, signals: Array, factor: Array, growth: Array) -> Expected:
         """Return the expected remainder of a healthy rig in other windows.
@@ -160,13 +166,13 @@ class Learnt(NamedTuple):
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
         terms = np.vstack([self.windows.terms, terms])
-        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms, known)
+        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms)
         functions, own = features.sized(self.sizes)
         columns = np.hstack([terms * self.error, functions])
         variance = self.variance(self.windows, own[:known])
         mean, inverse = _posterior(columns[:known], self.windows.residual, variance, self.fitted)
-        changing = np.concatenate([self.spread / self.error, self.changing[features.group]])
-        covariance = inverse + np.diag(changing**2)
+        varying = np.diag(self.changing[features.group] ** 2)
+        covariance = inverse + scipy.linalg.block_diag(self.varying, varying)
         here = columns[known:]
         free = here.copy()
         free[:, terms.shape[1] :] *= growth[:, None]
@@ -175,6 +181,10 @@ class Learnt(NamedTuple):
             directions=free @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
             variance=growth**2 * (self.left**2 + own[known:]),
         )
+
+    def where(self, kept: Mask) -> "Learnt":
+        """Return the model with some of the windows only."""
+        return self._replace(windows=self.windows.where(kept), recording=self.recording[kept])
 
     def leaving(self, after: Array) -> "Learnt":
         """Return the model with its unexplained rest estimated from the residuals on held-out stretches, shape (n,)."""
@@ -221,9 +231,9 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
         data, recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
-        default_spread, np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
+        np.diag((default_spread / error) ** 2), np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
-    features, y = _features(now.warped(data.signals), data.factor, data.terms, len(data.residual)), data.residual
+    features, y = _features(now.warped(data.signals), data.factor, data.terms), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(LEARNING_STEPS):
@@ -262,14 +272,13 @@ class _Features(NamedTuple):
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
-def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Features:
+def _features(warped: Array, factor: Array, terms: Array) -> _Features:
     """Return the features of a function of each signal, one of each times the factor, and one of all together.
 
     Args:
         warped: the signals, shape (n, signals).
         factor: the stage's input, shape (n,).
-        terms: derivatives by the coefficients, shape (n, terms).
-        known: number of leading windows on which the features are orthogonal to these.
+        terms: derivatives by the coefficients, to which the features are orthogonal, shape (n, terms).
     """
     single = warped.shape[1]
     made = [_kernel_columns(warped[:, g : g + 1], SINGLE_CENTRES) for g in range(single)]
@@ -277,8 +286,8 @@ def _features(warped: Array, factor: Array, terms: Array, known: int) -> _Featur
     made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), JOINT_CENTRES))
     group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
     columns = np.hstack([part for part, _ in made])
-    scaled = terms / np.maximum(np.sqrt(np.mean(terms[:known] ** 2, axis=0)), 1e-300)
-    along = np.linalg.lstsq(scaled[:known], columns[:known], rcond=COLLINEAR)[0]
+    scaled = terms / np.maximum(np.sqrt(np.mean(terms**2, axis=0)), 1e-300)
+    along = np.linalg.lstsq(scaled, columns, rcond=COLLINEAR)[0]
     return _Features(columns - scaled @ along, group, np.column_stack([rest for _, rest in made]))
 
 
@@ -367,6 +376,9 @@ def _together(e: Array, block: NDArray[np.intp]) -> float:
 def _with_spread(found: Learnt, features: _Features, default_spread: Array, only: bool) -> Learnt:
     """Return the model with the spread of coefficients and functions from recording to recording.
 
+    Coefficients that act nearly alike may replace each other from recording to recording, by much more than their sum varies:
+    the spread is that of the combinations of coefficients that act independently of each other.
+
     Args:
         found: the model learnt from all recordings together.
         features: of its windows.
@@ -377,21 +389,31 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * found.error, functions])
     mean, _ = _posterior(columns, data.residual, found.variance(data, own), found.fitted)
-    group = np.concatenate([np.arange(terms), terms + features.group])
-    default = np.concatenate([default_spread / found.error, np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
-    between = _between(rest, columns, own, group, default)
+    # A coefficient without default spread does not vary.
+    least, varies = default_spread / found.error, np.flatnonzero(default_spread)
+    turned = np.eye(terms)
+    turned[np.ix_(varies, varies)] = np.linalg.eigh(_normal(columns[:, varies], np.ones(len(columns))))[1]
+    group = np.concatenate([np.arange(terms), terms + features.group])
+    default = np.concatenate([_turned(least, turned), np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
+    between = _between(rest, np.hstack([columns[:, :terms] @ turned, functions]), own, group, default)
     # No function varies by more than its size, and within one recording no coefficient by more than its (possible) error.
     between[terms:] = np.minimum(between[terms:], 1.0)
     if only:
-        between[:terms] = np.minimum(between[:terms], np.maximum(np.abs(mean[:terms]), rules.LEFT_ERROR / found.error))
-    beyond = np.maximum(between**2 - default**2, 0.0)
+        possible = np.maximum(np.abs(mean[:terms]), rules.LEFT_ERROR / found.error)
+        between[:terms] = np.minimum(between[:terms], _turned(possible, turned))
     # A drift within a single recording is extrapolated to the next one as a random walk.
-    spread = np.sqrt(default**2 + beyond * (SECTIONS if only else 1))
+    beyond = np.maximum(between**2 - default**2, 0.0) * (SECTIONS if only else 1)
     return found._replace(
-        spread=spread[:terms] * found.error,
-        changing=spread[terms:],
+        varying=np.diag(least**2) + (turned * beyond[:terms]) @ turned.T,
+        changing=np.sqrt(default[terms:] ** 2 + beyond[terms:]),
     )
+
+
+def _turned(deviations: Array, turned: Array) -> Array:
+    """Return the standard deviations of combinations of independent weights, the columns of an orthogonal matrix."""
+    found: Array = np.sqrt(deviations**2 @ turned**2)
+    return found
 
 
 def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], default: Array) -> Array:

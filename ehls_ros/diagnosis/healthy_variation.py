@@ -205,8 +205,8 @@ class ChannelRemainder(NamedTuple):
         Returns:
             The rms beyond noise, and its ratio to the standard deviation of the expectation.
         """
-        windows, rest = self.learnt.windows.where(own), self.learnt.windows.where(~own)
-        others = self._replace(learnt=self.learnt._replace(windows=rest))
+        windows = self.learnt.windows.where(own)
+        others = self._replace(learnt=self.learnt.where(~own))
         away = others.distance(windows)
         inside = away <= 1.0
         # Beyond their range, the expectation itself is uncertain.

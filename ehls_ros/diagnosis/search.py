@@ -98,7 +98,8 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     always = None if best.names else explaining(evidence, base, level, scale)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
-    if evidence.standard.bounds_are_of_chance and best.names:
+    bounded = evidence.standard.bounds_are_of_chance and any(allowed.is_bounded for allowed in evidence.allowed.values())
+    if bounded and best.names:
         best = _without_bounds(evidence, best)
     progress("causes together", 1.0)
     return Searched(best, places, tuple(starts.alone), scale, always)

@@ -145,7 +145,12 @@ def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
 def _relative_errors(found: RigIdentification) -> dict[str, float]:
     """Return the standard error of each identified coefficient, as a fraction of its value."""
     known = {path: e for path, e in found.estimates.items() if not path.startswith("effects.") and e.value != 0.0}
-    return {path.rpartition(".")[2]: e.std / abs(e.value) for path, e in known.items()}
+    return {_coefficient(path): e.std / abs(e.value) for path, e in known.items()}
+
+
+def _coefficient(path: str) -> str:
+    """Return the name of an identified coefficient among the terms of a balance."""
+    return path.rpartition(".")[2]
 
 
 def _coefficients(given: Rig, found: RigIdentification, variation: HealthyVariation) -> dict[str, Fitted]:
@@ -157,7 +162,7 @@ def _coefficients(given: Rig, found: RigIdentification, variation: HealthyVariat
     out = {}
     for path, estimate in found.estimates.items():
         name = path.removeprefix("plant.").removeprefix("friction.")
-        out[name] = Fitted(read(given, path), estimate, spread.get(name))
+        out[name] = Fitted(read(given, path), estimate, spread.get(_coefficient(path)))
     return out
 
 
