@@ -166,7 +166,7 @@ def numbers_of(parameters: Any) -> list[Any]:
 
 def parameters_of(numbers: Iterable[Any]) -> list[int]:
     """Return the indices of the parameters on which some numbers or arrays depend, in ascending order."""
-    return sorted({parameter for number in numbers for parameter in tangents_of(number)})
+    return sorted({parameter for number in numbers if isinstance(number, Dual) for parameter in number.tangents})
 
 
 def rows_of(numbers: Any, width: int, parameters: Sequence[int] | None = None) -> Array:
