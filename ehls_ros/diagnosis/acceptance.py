@@ -87,7 +87,7 @@ def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[
 
 def beyond_form(evidence: Evidence, apart: Mapping[Channel, Array]) -> dict[Channel, Array]:
     """Return the differences in the channels where they exceed the form errors that cannot be told from a change."""
-    return {c: e for c, e in apart.items() if relevance(evidence, {c: e}) >= evidence.standard.form_error(c)}
+    return {c: e for c, e in apart.items() if relevance(evidence, {c: e}) > evidence.standard.form_error(c)}
 
 
 def relevance(evidence: Evidence, apart: Mapping[Channel, Array]) -> float:

@@ -1,5 +1,6 @@
 """Search for causes: all effects one by one, then further causes beside the best of them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,7 +11,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import accepted, explains, is_new
+from ehls_ros.diagnosis.acceptance import accepted, beyond_form, differences, explains, is_new
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -154,7 +155,7 @@ def _added(
         parents = {_key(member.hypothesis): member for member in beam}
         ranked = [
             j
-            for j in _ranked(level, scale)
+            for j in _beyond_form(evidence, level, best, scale)
             if accepted(evidence, j, parents[_key(j.hypothesis[:-1])], scale)
             and (accepted(evidence, j, best, scale) or _leaner(j, best, given, scale))
         ]
@@ -169,6 +170,18 @@ def _added(
     return best, scale
 
 
+def _beyond_form(
+    evidence: Evidence, level: Sequence[Assessment], less: Assessment, scale: Mapping[Channel, float]
+) -> tuple[Assessment, ...]:
+    """Return hypotheses, best first, as far as none within errors of form explains clearly more.
+
+    Otherwise a wrong cause would be named in place of the right one because it changes more.
+    """
+    form = [j.score(scale) for j in level if not beyond_form(evidence, differences(evidence, j, less))]
+    least = max(form, default=-math.inf) - rules.NEEDED_GAIN
+    return tuple(j for j in _ranked(level, scale) if j.score(scale) > least)
+
+
 def _leaner(more: Assessment, best: Assessment, given: Assessment, scale: Mapping[Channel, float]) -> bool:
     """Return whether a hypothesis with more causes has fewer parameters, and explains nearly as much."""
     nearly = (1.0 - rules.SIMPLER) * (best.score(scale) - given.score(scale))
@@ -179,7 +192,7 @@ def explaining(
     evidence: Evidence, base: Assessment, level: Sequence[Assessment], scale: Mapping[Channel, float]
 ) -> Assessment | None:
     """Return the best hypothesis that explains the recording, regardless of the baselines."""
-    return next((j for j in _ranked(level, scale) if explains(evidence, j, base, scale)), None)
+    return next((j for j in _beyond_form(evidence, level, base, scale) if explains(evidence, j, base, scale)), None)
 
 
 def _afresh(evidence: Evidence, hypothesis: Hypothesis, values: Array, steps: Array) -> Fit:
