@@ -351,6 +351,30 @@ def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, take
     assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
 
 
+@pytest.mark.parametrize(
+    ("causes", "behind", "taken"),
+    [((MASS, VISCOUS), 4.0, True), ((MASS, VISCOUS), 6.0, False), ((MASS, ONE, VISCOUS), 0.0, False)],
+    ids=["near", "far", "as many parameters"],
+)
+def test_two_causes_of_few_parameters_are_simpler_than_one_of_many(causes, behind, taken):
+    stops = candidate("end_stop", "upper", "lower", "stiffness")
+    best, more = scored((stops,), 1000.0), scored(causes, 1000.0 - behind)
+    assert searching._leaner(more, best, scored((), 0.0), FORCE) is taken
+
+
+@pytest.mark.parametrize(("better", "kept"), [(rules.NEEDED_GAIN + 1.0, False), (rules.NEEDED_GAIN - 1.0, True)])
+def test_a_cause_is_not_named_where_a_smaller_change_within_errors_of_form_explains_more(better, kept):
+    # Both change the balance, one by less and one by more than errors of form: 0.01 of the largest term.
+    form = HealthyVariation({}, form={"force": 0.01})
+    evidence = replace(evidence_of({"force": np.zeros(12)}), standard=form)
+    less = scored((), 0.0)
+    small, large = scored((ONE,), 500.0 + better), scored((MASS,), 500.0)
+    small.fit.residuals.values["force"] = np.full(12, 0.5)
+    large.fit.residuals.values["force"] = np.full(12, 2.0)
+    left = searching._beyond_form(evidence, [small, large], less, FORCE)
+    assert left == ((small, large) if kept else (small,))
+
+
 def exchanged(monkeypatch, best, alone, dropped=None, sure=lambda hypothesis: len(hypothesis) == 1):
     """Exchange the causes of a hypothesis; one of two may be dropped, and no other can replace it."""
     monkeypatch.setattr(searching, "accepted", lambda evidence, more, less, scale: sure(more.hypothesis))

@@ -129,6 +129,33 @@ def test_recordings_that_differ_teach_the_spread():
     assert apart.spread[0] == pytest.approx(0.03, rel=0.2)
 
 
+def test_coefficients_that_replace_each_other_leave_their_sum_as_sure_as_it_is():
+    rng = np.random.default_rng(6)
+    pressure = rng.standard_normal(1200)
+    # Pressure and discharge act nearly alike; from day to day, one takes the other's place by 10 %.
+    terms = np.column_stack([pressure, pressure + 0.1 * rng.standard_normal(1200)])
+
+    def day(seed, swapped):
+        noise = NOISE * np.random.default_rng(seed).standard_normal(1200)
+        return made(seed)._replace(residual=terms @ np.array([swapped, -swapped]) + noise, terms=terms)
+
+    learnt = learn([day(1, 0.1), day(2, -0.1), day(3, 0.0)], np.full(2, 1e-3), np.full(2, rules.LEFT_ERROR), np.ones(2, bool))
+    assert np.all(learnt.spread > 0.03)
+    alike = np.linalg.norm(expected(learnt, day(4, 0.0)).directions.T @ pressure) / (pressure @ pressure)
+    assert alike < 0.02
+
+
+def test_functions_allow_a_coefficient_no_variation_in_another_motion():
+    # In the only baseline the piston follows the load, so that a curve over the load resembles the coefficient's term.
+    rng = np.random.default_rng(7)
+    load = rng.uniform(-1.0, 1.0, 1200)
+    following, free = load + 0.3 * rng.standard_normal(1200), 3.0 * rng.uniform(-1.0, 1.0, 1200)
+    residual = curve(load) + NOISE * rng.standard_normal(1200)
+    baseline = made(1)._replace(residual=residual, signals=load[:, None], terms=following[:, None])
+    found = expected(learn([baseline], SPREAD, ERROR, FITTED), baseline._replace(terms=free[:, None]))
+    assert np.linalg.norm(found.directions.T @ free) / (free @ free) < 3.0 * SPREAD[0]
+
+
 def test_memory_counts_windows_that_err_together():
     rng = np.random.default_rng(5)
     data = made(1)
