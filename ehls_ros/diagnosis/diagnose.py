@@ -90,12 +90,16 @@ def diagnose(
         term = described(pool, found, unknown) if verdict == "unknown" and unknown is not None else None
         if term is not None and answer is not None and not set(answer.found.best.names) <= set(term.without.names):
             answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
+    if answer is not None:
+        told = causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
+        if any(cause.probability >= rules.MIN_PROBABILITY or cause.equivalent_to for cause in told):
+            verdict, named = "partial", told
+        else:
+            answer = None
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if term is not None:
         known, with_term = with_allowances(evidence, found._replace(best=term.best, places=()))
         best = with_term.best
-    if answer is not None:
-        verdict, named = "partial", causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
     model = extended(rig, best.hypothesis, best.fit.values)
     names, more = verdict in NAMING, verdict in NAMING or term is not None
     signals = signals_along(evidence.comparison(), model)
