@@ -153,12 +153,12 @@ def _added(
     for count in range(1, MAX_CAUSES + 1):
         scale = inflations(evidence, [best, *level])
         parents = {_key(member.hypothesis): member for member in beam}
-        ranked = [
-            j
-            for j in _beyond_form(evidence, level, best, scale)
-            if accepted(evidence, j, parents[_key(j.hypothesis[:-1])], scale)
-            and (accepted(evidence, j, best, scale) or _leaner(j, best, given, scale))
-        ]
+        ranked = list[Assessment]()
+        for j in _beyond_form(evidence, level, best, scale):
+            parent = parents[_key(j.hypothesis[:-1])]
+            others = parent is best or accepted(evidence, j, best, scale) or _leaner(j, best, given, scale)
+            if others and accepted(evidence, j, parent, scale):
+                ranked.append(j)
         if not ranked:
             break
         best = ranked[0]
