@@ -12,7 +12,7 @@ from patience import PATIENCE
 
 from ehls_msgs.msg import ControllerStatus
 from ehls_ros.nodes.control import PARENT
-from ehls_ros.nodes.shared_memory import used_by
+from ehls_ros.nodes.shared_memory import SHARED_MEMORY, used_by
 
 TOPICS = {
     "fasmc_node": "valve_command",
@@ -60,13 +60,15 @@ def users_of(file: Path) -> list[str]:
 
 @pytest.mark.parametrize("name", ["fasmc_node", "plant_sim_node"])
 def test_a_node_that_ends_leaves_nothing_in_shared_memory(graph, spec_file, name):
+    before = set(SHARED_MEMORY.iterdir())
     node = graph.start(name, spec=spec_file(duration=1000.0), timing="lockstep")
     deadline = time.monotonic() + PATIENCE
     while ": up" not in graph.log(name):
         assert time.monotonic() < deadline, graph.log(name)
         time.sleep(0.05)
     # Without a participant of the test, whose segments it would use too. Ports may belong to other processes, or killed ones.
-    segments = [file for file in used_by(node.pid) if file.name.startswith("fast") and "_port" not in file.name]
+    new = used_by(node.pid) - before
+    segments = [file for file in new if file.name.startswith("fast") and "_port" not in file.name]
     assert segments
     assert graph.stop(name) == 0
     left = {file: users_of(file) for file in segments if file.exists()}

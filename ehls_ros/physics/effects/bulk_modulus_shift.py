@@ -30,5 +30,5 @@ def shift(rig: Rig, parameters: Parameters) -> Rig:
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The factor, also from a soft and a stiff oil: the compressibility is its inverse, and from 1 it is far away."""
-    return (Form({"factor": (1.0, 0.4, 2.5)}),)
+    """The factor, also from a soft and a stiff oil: the compressibility is its inverse, and far away from 1."""
+    return (Form({"factor": (0.4, 0.9, 2.5)}),)
