@@ -90,6 +90,11 @@ def beyond_form(evidence: Evidence, apart: Mapping[Channel, Array]) -> dict[Chan
     return {c: e for c, e in apart.items() if relevance(evidence, {c: e}) > evidence.standard.form_error(c)}
 
 
+def within_form(evidence: Evidence, more: Assessment, less: Assessment) -> bool:
+    """Return whether two hypotheses differ in no channel by more than errors of the model's form."""
+    return not beyond_form(evidence, differences(evidence, more, less))
+
+
 def relevance(evidence: Evidence, apart: Mapping[Channel, Array]) -> float:
     """Return the difference of two hypotheses, as a fraction of the largest term of the balance in which they differ most.
 

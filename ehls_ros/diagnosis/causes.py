@@ -7,7 +7,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import beyond_form, differences, mostly_in
+from ehls_ros.diagnosis.acceptance import mostly_in, within_form
 from ehls_ros.diagnosis.empirical import drifts
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.held_out import RESAMPLED, Assessment, probabilities
@@ -132,7 +132,7 @@ def _indistinguishable(
 def _within_form(evidence: Evidence, best: Assessment, rival: Assessment, gain: float, scale: Mapping[Channel, float]) -> bool:
     """Return whether a rival that explains most of a cause's gain differs by no more than errors of the model's form."""
     worthwhile = rival.score(scale) >= best.score(scale) - (1.0 - rules.WORTHWHILE) * gain
-    return worthwhile and not beyond_form(evidence, differences(evidence, best, rival))
+    return worthwhile and within_form(evidence, best, rival)
 
 
 def _share(evidence: Evidence, best: Assessment, without: Assessment, channel: Channel) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import accepted, beyond_form, differences, explains, is_new
+from ehls_ros.diagnosis.acceptance import accepted, explains, is_new, within_form
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -154,7 +154,7 @@ def _added(
         scale = inflations(evidence, [best, *level])
         parents = {_key(member.hypothesis): member for member in beam}
         ranked = list[Assessment]()
-        for j in _beyond_form(evidence, level, best, scale):
+        for j in _not_outdone(evidence, level, best, scale):
             parent = parents[_key(j.hypothesis[:-1])]
             others = parent is best or accepted(evidence, j, best, scale) or _leaner(j, best, given, scale)
             if others and accepted(evidence, j, parent, scale):
@@ -170,29 +170,29 @@ def _added(
     return best, scale
 
 
-def _beyond_form(
+def _not_outdone(
     evidence: Evidence, level: Sequence[Assessment], less: Assessment, scale: Mapping[Channel, float]
 ) -> tuple[Assessment, ...]:
-    """Return hypotheses, best first, as far as none within errors of form explains clearly more.
+    """Return the hypotheses, best first, that no change within errors of form outdoes by a needed gain.
 
     Otherwise a wrong cause would be named in place of the right one because it changes more.
     """
-    form = [j.score(scale) for j in level if not beyond_form(evidence, differences(evidence, j, less))]
+    form = [j.score(scale) for j in level if within_form(evidence, j, less)]
     least = max(form, default=-math.inf) - rules.NEEDED_GAIN
     return tuple(j for j in _ranked(level, scale) if j.score(scale) > least)
 
 
 def _leaner(more: Assessment, best: Assessment, given: Assessment, scale: Mapping[Channel, float]) -> bool:
     """Return whether a hypothesis with more causes has fewer parameters, and explains nearly as much."""
-    nearly = (1.0 - rules.SIMPLER) * (best.score(scale) - given.score(scale))
-    return len(more.fit.values) < len(best.fit.values) and more.score(scale) - given.score(scale) > nearly
+    behind = best.score(scale) - more.score(scale)
+    return len(more.fit.values) < len(best.fit.values) and behind < rules.SIMPLER * (best.score(scale) - given.score(scale))
 
 
 def explaining(
     evidence: Evidence, base: Assessment, level: Sequence[Assessment], scale: Mapping[Channel, float]
 ) -> Assessment | None:
     """Return the best hypothesis that explains the recording, regardless of the baselines."""
-    return next((j for j in _beyond_form(evidence, level, base, scale) if explains(evidence, j, base, scale)), None)
+    return next((j for j in _not_outdone(evidence, level, base, scale) if explains(evidence, j, base, scale)), None)
 
 
 def _afresh(evidence: Evidence, hypothesis: Hypothesis, values: Array, steps: Array) -> Fit:

@@ -156,7 +156,7 @@ class Starts:
 
 
 def leading(ranked: Sequence[Fit], count: int) -> list[int]:
-    """Return the indices of the first hypotheses, and of the first whose last cause is of each group not among them.
+    """Return the indices of the first hypotheses, and of the best with a last cause from each group beyond them.
 
     Two causes in one stage may explain more than the best pair from two, and each alone less than a cause elsewhere.
 

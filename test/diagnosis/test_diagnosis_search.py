@@ -371,7 +371,7 @@ def test_a_cause_is_not_named_where_a_smaller_change_within_errors_of_form_expla
     small, large = scored((ONE,), 500.0 + better), scored((MASS,), 500.0)
     small.fit.residuals.values["force"] = np.full(12, 0.5)
     large.fit.residuals.values["force"] = np.full(12, 2.0)
-    left = searching._beyond_form(evidence, [small, large], less, FORCE)
+    left = searching._not_outdone(evidence, [small, large], less, FORCE)
     assert left == ((small, large) if kept else (small,))
 
 
