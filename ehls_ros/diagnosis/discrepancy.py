@@ -166,11 +166,10 @@ class Learnt(NamedTuple):
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
         terms = np.vstack([self.windows.terms, terms])
-        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms)
+        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms[:, self.fitted])
         functions, own = features.sized(self.sizes)
         columns = np.hstack([terms * self.error, functions])
-        variance = self.variance(self.windows, own[:known])
-        mean, inverse = _posterior(columns[:known], self.windows.residual, variance, self.fitted)
+        mean, inverse = self.common(columns[:known], own[:known])
         varying = np.diag(self.changing[features.group] ** 2)
         covariance = inverse + scipy.linalg.block_diag(self.varying, varying)
         here = columns[known:]
@@ -181,6 +180,24 @@ class Learnt(NamedTuple):
             directions=free @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
             variance=growth**2 * (self.left**2 + own[known:]),
         )
+
+    def common(self, columns: Array, own: Array) -> tuple[Array, Array]:
+        """Return mean and covariance of the weights common to all recordings, in each of which the coefficients deviate.
+
+        Without these deviations, a coefficient that differs from recording to recording by chance would pass for one that
+        follows the oil's temperature.
+
+        Args:
+            columns: of the weights, those of the coefficients first, shape (n, m).
+            own: variance not covered by them, shape (n,).
+        """
+        squares, along = np.linalg.eigh(self.varying)
+        deviating = columns[:, : len(self.varying)] @ (along * np.sqrt(np.maximum(squares, 0.0)))[:, squares > 0.0]
+        parts = [deviating * (self.recording == k)[:, None] for k in np.unique(self.recording)]
+        variance = self.variance(self.windows, own)
+        mean, covariance = _posterior(np.hstack([columns, *parts]), self.windows.residual, variance, self.fitted)
+        m = columns.shape[1]
+        return mean[:m], covariance[:m, :m]
 
     def where(self, kept: Mask) -> "Learnt":
         """Return the model with some of the windows only."""
@@ -233,7 +250,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
         data, recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
         np.diag((default_spread / error) ** 2), np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
-    features, y = _features(now.warped(data.signals), data.factor, data.terms), data.residual
+    features, y = _features(now.warped(data.signals), data.factor, data.terms[:, fitted]), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(LEARNING_STEPS):
@@ -278,7 +295,7 @@ def _features(warped: Array, factor: Array, terms: Array) -> _Features:
     Args:
         warped: the signals, shape (n, signals).
         factor: the stage's input, shape (n,).
-        terms: derivatives by the coefficients, to which the features are orthogonal, shape (n, terms).
+        terms: derivatives by the fitted coefficients, to which the features are orthogonal, shape (n, terms).
     """
     single = warped.shape[1]
     made = [_kernel_columns(warped[:, g : g + 1], SINGLE_CENTRES) for g in range(single)]
@@ -388,7 +405,7 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     data, terms = found.windows, found.windows.terms.shape[1]
     functions, own = features.sized(found.sizes)
     columns = np.hstack([data.terms * found.error, functions])
-    mean, _ = _posterior(columns, data.residual, found.variance(data, own), found.fitted)
+    mean, _ = found.common(columns, own)
     rest = found._replace(windows=data._replace(residual=data.residual - columns @ mean))
     # A coefficient without default spread does not vary.
     least, varies = default_spread / found.error, np.flatnonzero(default_spread)

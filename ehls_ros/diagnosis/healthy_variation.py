@@ -19,6 +19,7 @@ from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
 from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
+from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import PRESSURE_A, PRESSURE_B
 
@@ -169,7 +170,7 @@ class ChannelRemainder(NamedTuple):
         learnt: the learnt discrepancy.
         transfer: rms error beyond noise of its expectation in a recording that it was not learnt from, as a fraction of the
             largest term.
-        elsewhere: the same in a recording of another programme.
+        elsewhere: the same in a recording of another programme, if there is only one baseline.
         misjudged: the same in standard deviations of that expectation, at least 1.
         ranges: quantiles of the signals in each baseline, by its name, shape (quantiles, signals).
     """
@@ -177,7 +178,7 @@ class ChannelRemainder(NamedTuple):
     terms: RemainderTerms
     learnt: Learnt
     transfer: float = 0.0
-    elsewhere: float = 0.0
+    elsewhere: float = math.inf
     misjudged: float = 1.0
     ranges: Mapping[str, Array] = {}
 
@@ -194,7 +195,7 @@ class ChannelRemainder(NamedTuple):
         found, misjudged = (max(error) for error in zip(*errors, strict=True))
         return self._replace(
             transfer=found,
-            elsewhere=rules.OTHER_PROGRAMME * (max(found, whole) if len(baselines) == 1 else found),
+            elsewhere=rules.OTHER_PROGRAMME * max(found, whole) if len(baselines) == 1 else math.inf,
             misjudged=max(misjudged, 1.0),
             ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
         )
@@ -219,14 +220,16 @@ class ChannelRemainder(NamedTuple):
     def form(self, expected: Expected, *, new: bool) -> float:
         """Return the rms error of an expectation that may pass for a change, as a fraction of the largest term.
 
-        It is that of the baselines expected from each other, or less where all of them together determine the expectation
-        better than some of them the others.
+        It is that of the baselines expected from each other, within one and the most standard deviations of this expectation:
+        all baselines together may determine it better than some of them the others, or leave more open. Of another programme,
+        the baselines' errors say nothing.
 
         Args:
             expected: the expectation in a recording.
             new: whether there is no baseline of its programme.
         """
-        return min(self.elsewhere if new else self.transfer, self.most(new=new) * expected.deviation)
+        found = self.elsewhere if new else max(self.transfer, expected.deviation)
+        return min(found, self.most(new=new) * expected.deviation)
 
     def most(self, *, new: bool) -> float:
         """Return the standard deviations of its expectation by which a healthy recording may differ from it, at most.
@@ -381,8 +384,14 @@ class HealthyVariation(Standard):
 
 
 def _beyond_noise(residual: Array, noise: Array) -> float:
-    """Return the rms of a residual beyond noise; 0 without windows."""
-    return math.sqrt(max(float(np.mean(residual**2 - noise**2)), 0.0)) if len(residual) else 0.0
+    """Return the rms of a residual beyond noise; 0 without windows.
+
+    An error that lasts for several windows shows below the noise too, which is independent in windows without common samples.
+    """
+    if len(residual) <= OVERLAP:
+        return 0.0
+    lasting = float(np.mean(residual[OVERLAP:] * residual[:-OVERLAP]))
+    return math.sqrt(max(float(np.mean(residual**2 - noise**2)), lasting, 0.0))
 
 
 def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:

@@ -45,9 +45,9 @@ class Pool:
             self._free.put(Worker(evidence, subset))
         self._executor, self._leaders = ThreadPoolExecutor(threads), ThreadPoolExecutor(threads)
 
-    def beside(self, evidence: Evidence) -> "Pool":
-        """Return a pool of the same size for the same recording with another noise floor."""
-        return Pool(evidence, self._threads, self.few)
+    def beside(self, evidence: Evidence, few: Evidence | None = None) -> "Pool":
+        """Return a pool of the same size for the same recording with another noise floor or model, and a few blocks of it."""
+        return Pool(evidence, self._threads, few or self.few)
 
     def map(self, work: Callable[[Worker, Item], Done], items: Sequence[Item]) -> list[Done]:
         """Apply a function to every item in parallel and return the results in order; the first exception is raised."""

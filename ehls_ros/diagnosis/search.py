@@ -151,14 +151,10 @@ def _added(
     """
     given, beam = best, [best]
     for count in range(1, MAX_CAUSES + 1):
-        scale = inflations(evidence, [best, *level])
-        parents = {_key(member.hypothesis): member for member in beam}
-        ranked = list[Assessment]()
-        for j in _not_outdone(evidence, level, best, scale):
-            parent = parents[_key(j.hypothesis[:-1])]
-            others = parent is best or accepted(evidence, j, best, scale) or _leaner(j, best, given, scale)
-            if others and accepted(evidence, j, parent, scale):
-                ranked.append(j)
+        ranked, scale = _improving(evidence, level, best, given, beam)
+        if not ranked and best is not given:
+            level += fitted(evidence, pool, starts.anew(best))
+            ranked, scale = _improving(evidence, level, best, given, beam)
         if not ranked:
             break
         best = ranked[0]
@@ -168,6 +164,29 @@ def _added(
         level = fitted(evidence, pool, [start for member in beam for start in starts.extensions(member)])
         progress("causes together", 0.55 + 0.1 * count)
     return best, scale
+
+
+def _improving(
+    evidence: Evidence, level: Sequence[Assessment], best: Assessment, given: Assessment, beam: Sequence[Assessment]
+) -> tuple[list[Assessment], dict[Channel, float]]:
+    """Return the hypotheses with a further cause that is accepted, best first, and the inflation.
+
+    Args:
+        evidence: the recording compared with the given model.
+        level: hypotheses with one more cause than those of the beam.
+        best: the best one so far.
+        given: the one to which all causes are added.
+        beam: the hypotheses that the level extends.
+    """
+    scale = inflations(evidence, [best, *level])
+    parents = {_key(member.hypothesis): member for member in beam}
+    ranked = list[Assessment]()
+    for j in _not_outdone(evidence, level, best, scale):
+        parent = parents[_key(j.hypothesis[:-1])]
+        others = parent is best or accepted(evidence, j, best, scale) or _leaner(j, best, given, scale)
+        if others and accepted(evidence, j, parent, scale):
+            ranked.append(j)
+    return ranked, scale
 
 
 def _not_outdone(

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -54,7 +56,7 @@ class Tried(NamedTuple):
     fits: Sequence[Sequence[Fit]]
 
 
-def try_starts(pool: Pool, causes: Sequence[Candidate], progress: Progress) -> Tried:
+def try_starts(pool: Pool, causes: Sequence[Candidate], progress: Progress = lambda step, fraction: None) -> Tried:
     """Evaluate all starts of every cause in a few blocks of a recording.
 
     Args:
@@ -102,6 +104,25 @@ class Starts:
             chosen.append(best if gains[best] > MORE_PROMISING * max(gains[0], PROMISING) else 0)
         return self._on_all_blocks(chosen)
 
+    def anew(self, member: Assessment) -> list[Start]:
+        """Return the most promising starts of a hypothesis with one more cause, each tried in the model it extends.
+
+        A strong cause changes the effect of others: their sum, taken as linear, then says little. Only causes that act where the
+        hypothesis leaves more than noise are tried.
+        """
+        evidence, few = self.pool.evidence, self.tried.few
+        left = {c for c in evidence.channels if member.excess(evidence, c) > PROMISING}
+        causes = [fits[0].hypothesis[0] for fits in self.tried.fits if left & set(fits[0].channels)]
+
+        def given(worker: Worker, within: Evidence) -> Evidence:
+            model = extended(within.rig, member.hypothesis, member.fit.values)
+            return replace(within, rig=model, base=within.residuals(within.comparison(), model))
+
+        whole, blocks = self.pool.map(given, [evidence, few])
+        with closing(self.pool.beside(whole, blocks)) as pool:
+            fits = Starts(pool, try_starts(pool, causes)).alone
+        return self._promising(member, fits, whole.base)
+
     def extensions(self, member: Assessment, most: float = math.inf) -> list[Start]:
         """Return the most promising starts of a hypothesis with one more cause.
 
@@ -109,18 +130,29 @@ class Starts:
             member: the hypothesis.
             most: maximum number of free parameters of that cause.
         """
+        others = [other for other in [*self.beside(member), *self._at_lines(member)] if len(other.values) <= most]
+        return self._promising(member, others, self.pool.evidence.base)
+
+    def _promising(self, member: Assessment, others: Sequence[Fit], base: Residuals) -> list[Start]:
+        """Return the most promising starts of a hypothesis with one of several further causes.
+
+        Args:
+            member: the hypothesis.
+            others: the causes, each linearised in the same model.
+            base: residuals of that model.
+        """
         evidence = self.pool.evidence
         promises = dict[tuple[str, int], Start]()
         excess = sum(member.excess(evidence, c) for c in member.held_out.gain)
         least = max(PROMISING, rules.PROMISED_EXCESS * rules.REMOVED_EXCESS * excess)
         # The gain still available to the hypothesis itself is not due to the further cause.
         least += member.fit.loss - predicted_loss(member.fit)
-        for other in [*self.beside(member), *self._at_lines(member)]:
+        for other in others:
             (cause,) = other.hypothesis
             parted = cause.separates_load and any(c.separates_load for c in member.hypothesis)
-            if parted or cause.name in member.names or len(cause.free) > most:
+            if parted or cause.name in member.names:
                 continue
-            start = combined(evidence, member.fit, other)
+            start = combined(evidence, member.fit, other, base)
             key = cause.name, cause.number
             if start.promise > max(least, promises[key].promise if key in promises else 0.0):
                 promises[key] = start
@@ -206,13 +238,14 @@ def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
     return [fit for _, fit in sorted(found, key=lambda item: -item[0])]
 
 
-def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
+def combined(evidence: Evidence, fit: Fit, other: Fit, base: Residuals) -> Start:
     """Return the start of a hypothesis with one more cause; its predicted gain takes both as linear.
 
     Args:
         evidence: the recording compared with the given model.
         fit: the hypothesis, fitted.
-        other: the cause alone at its starting values.
+        other: the cause alone at its starting values in some model.
+        base: residuals of that model.
     """
     channels = tuple(c for c in evidence.channels if c in fit.channels or c in other.channels)
     together = sections(evidence.block, channels)
@@ -221,7 +254,7 @@ def combined(evidence: Evidence, fit: Fit, other: Fit) -> Start:
     rows = sum(len(evidence.block[c]) for c in channels)
     e, j = np.empty(rows), np.zeros((rows, p + q))
     for c, here in together.items():
-        e[here] = fit.residuals.values[c] + other.residuals.values[c] - evidence.base.values[c]
+        e[here] = fit.residuals.values[c] + other.residuals.values[c] - base.values[c]
         if c in own:
             j[here, :p] = fit.jacobian[own[c]]
         if c in its:

@@ -101,7 +101,9 @@ def test_a_coefficient_that_is_not_fitted_may_be_off_where_no_baseline_has_been(
     learnt = learn([held], np.zeros(1), ERROR, np.array([False]))
     same, twice = (expected(learnt, held._replace(terms=held.terms * size)).directions for size in (1.0, 2.0))
     told, open_ = (float(np.linalg.norm(np.mean(d, axis=0))) for d in (same, twice))
-    assert open_ > 20.0 * told
+    # The curve and the coefficient may share what was seen: the error is open within the curve's size.
+    assert told < NOISE
+    assert open_ > 5.0 * NOISE
 
 
 def test_an_error_of_gain_is_learnt():

@@ -41,13 +41,28 @@ def test_their_difference_is_the_error_of_the_expectation():
     assert found.transfer == pytest.approx(0.01 * np.sqrt(0.5), rel=0.2)
 
 
-def test_where_all_baselines_determine_it_better_than_some_the_others_the_error_is_that_of_the_expectation():
+def equally_sure(deviation):
+    return Expected(np.zeros(4), np.zeros((4, 0)), np.full(4, deviation**2))
+
+
+def test_the_error_lies_within_one_and_the_most_standard_deviations_of_the_expectation():
     found = learnt(windows(1, bend), windows(2, lambda x: bend(x) + 0.01 * np.sin(3.0 * x)), windows(3, bend))
-    sure = Expected(np.zeros(4), np.zeros((4, 0)), np.full(4, 1e-8))
-    assert found.form(sure, new=False) == pytest.approx(rules.MAX_ALLOWED * found.misjudged * 1e-4)
-    unsure = sure._replace(variance=np.full(4, 1.0))
-    assert found.form(unsure, new=False) == found.transfer
-    assert found.form(unsure, new=True) == found.elsewhere
+    assert found.form(equally_sure(1e-4), new=False) == pytest.approx(found.most(new=False) * 1e-4)
+    assert found.form(equally_sure(0.9 * found.transfer), new=False) == found.transfer
+    assert found.form(equally_sure(1.0), new=False) == pytest.approx(1.0)
+
+
+def test_of_another_programme_the_baselines_errors_say_nothing():
+    several = learnt(windows(1, bend), windows(2, bend))
+    assert several.form(equally_sure(1.0), new=True) == pytest.approx(several.most(new=True))
+    only = learnt(windows(1, bend))
+    assert only.form(equally_sure(1.0), new=True) == only.elsewhere
+
+
+def test_an_error_below_the_noise_that_lasts_is_seen():
+    low = 0.3 * NOISE
+    found = learnt(*(windows(k, lambda x, sign=sign: np.full_like(x, sign * low)) for k, sign in ((1, -1.0), (2, 1.0))))
+    assert found.transfer == pytest.approx(2.0 * low, rel=0.2)
 
 
 def test_a_single_baseline_tells_nothing_of_another_programme():
