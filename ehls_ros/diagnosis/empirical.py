@@ -133,7 +133,7 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
         missing = [(key, c) for key, p in proposed.items() if key not in linearised for c in (candidate_of(p), *_sketched(p))]
         for (key, _), fit in zip(missing, pool.map(_linearised, [candidate for _, candidate in missing]), strict=True):
             linearised.setdefault(key, []).extend([] if fit is None else [fit])
-        begun += [(base, p, combined(evidence, base.fit, fit, evidence.base)) for key, p in proposed.items() for fit in linearised[key]]
+        begun += [(base, p, combined(evidence, base.fit, fit)) for key, p in proposed.items() for fit in linearised[key]]
     origin = {id(start.fit.hypothesis): (base, p) for base, p, start in begun}
     alone, beside = ([start for base, _, start in begun if bool(base.names) == named] for named in (False, True))
     offers = [
@@ -151,7 +151,7 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     both = [offer]
     if offer.base.names:
         # A named cause beside a table may hold a part of its shape.
-        starts = [combined(evidence, nothing.fit, fit, evidence.base) for fit in linearised[offer.proposal.key]]
+        starts = [combined(evidence, nothing.fit, fit) for fit in linearised[offer.proposal.key]]
         both += [_Offer(nothing, j, offer.proposal) for j in fitted(evidence, pool, starts)]
     offer = _simplest(evidence, [_as_formula(pool, o, nothing) for o in both], nothing)
     scale = inflations(evidence, [offer.more])
@@ -227,7 +227,7 @@ def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:
     memory = {name: value for name, value in zip(candidate.free, values.tolist(), strict=True) if name in MEMORIES}
     fits = pool.map(_linearised, [formula_of(proposal, formula, memory) for formula in formulas(known)])
     begun = [
-        combined(evidence, beside.fit, fit, evidence.base)
+        combined(evidence, beside.fit, fit)
         for fit in fits
         if fit is not None
         for beside in ((base, nothing) if base.names else (base,))

@@ -107,8 +107,8 @@ class Starts:
     def anew(self, member: Assessment) -> list[Start]:
         """Return the most promising starts of a hypothesis with one more cause, each tried in the model it extends.
 
-        A strong cause changes the effect of others: their sum, taken as linear, then says little. Only causes that act where the
-        hypothesis leaves more than noise are tried.
+        A strong cause changes the effect of others: their sum, taken as linear, then says little. Only causes that act
+        where the hypothesis leaves more than noise are tried.
         """
         evidence, few = self.pool.evidence, self.tried.few
         left = {c for c in evidence.channels if member.excess(evidence, c) > PROMISING}
@@ -238,15 +238,16 @@ def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
     return [fit for _, fit in sorted(found, key=lambda item: -item[0])]
 
 
-def combined(evidence: Evidence, fit: Fit, other: Fit, base: Residuals) -> Start:
+def combined(evidence: Evidence, fit: Fit, other: Fit, base: Residuals | None = None) -> Start:
     """Return the start of a hypothesis with one more cause; its predicted gain takes both as linear.
 
     Args:
         evidence: the recording compared with the given model.
         fit: the hypothesis, fitted.
         other: the cause alone at its starting values in some model.
-        base: residuals of that model.
+        base: residuals of that model; by default of the given one.
     """
+    base = base or evidence.base
     channels = tuple(c for c in evidence.channels if c in fit.channels or c in other.channels)
     together = sections(evidence.block, channels)
     own, its = sections(evidence.block, fit.channels), sections(evidence.block, other.channels)

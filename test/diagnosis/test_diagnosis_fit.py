@@ -81,7 +81,7 @@ def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig)
     worker, found = worker_of(recorded, rig, {"mass_shift": {"factor": 0.94}, "constant_load": {"force": -45.0}})
     load, mass = found["constant_load", 0], found["mass_shift", 0]
     alone = worker.fit(worker.linearise((load,), load.neutral))
-    begin = combined(worker.evidence, alone, worker.linearise((mass,), mass.neutral), worker.evidence.base)
+    begin = combined(worker.evidence, alone, worker.linearise((mass,), mass.neutral))
     assert begin.promise > 100.0
     # The promised reduction is there at the first step, not only after the fit.
     assert alone.loss - worker.first_step(begin).loss > 0.8 * begin.promise

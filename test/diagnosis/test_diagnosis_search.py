@@ -315,7 +315,7 @@ def test_the_start_of_two_linear_causes_is_their_joint_optimum():
     evidence = evidence_of({"force": base})
     one = linear_fit(evidence, (VISCOUS,), j[:, :1]).fit
     other = Fit((MASS,), np.array([1.0]), ("force",), Residuals({"force": base}), j[:, 1:], 0.0, np.ones(1))
-    start = combined(evidence, one, other, evidence.base)
+    start = combined(evidence, one, other)
     together = -np.linalg.lstsq(j, base, rcond=None)[0]
     np.testing.assert_allclose(start.trials[0], together + np.array([0.0, 1.0]), atol=1e-6)
     left = 0.5 * (np.sum(one.residuals.values["force"] ** 2) - np.sum((base + j @ together) ** 2))
