@@ -87,7 +87,8 @@ def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[
 
 def beyond_form(evidence: Evidence, apart: Mapping[Channel, Array]) -> dict[Channel, Array]:
     """Return the differences in the channels where they exceed the form errors that cannot be told from a change."""
-    return {c: e for c, e in apart.items() if relevance(evidence, {c: e}) > evidence.standard.form_error(c)}
+    of = evidence.standard
+    return {c: e for c, e in apart.items() if relevance(evidence, {c: of.beyond(evidence, c, e)}) > of.form_error(c)}
 
 
 def within_form(evidence: Evidence, more: Assessment, less: Assessment) -> bool:

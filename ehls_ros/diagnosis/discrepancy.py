@@ -91,6 +91,11 @@ class Windows(NamedTuple):
         return Windows._make(values[kept] for values in self)
 
 
+def _rms_where_finite(variance: Array) -> float:
+    near = np.isfinite(variance)
+    return float(np.sqrt(np.mean(variance[near]))) if np.any(near) else 0.0
+
+
 def joined(recordings: Sequence[Windows]) -> Windows:
     """Return the concatenated windows of several recordings."""
     return Windows(*(np.concatenate(parts) for parts in zip(*recordings, strict=True)))
@@ -112,9 +117,12 @@ class Expected(NamedTuple):
     @property
     def deviation(self) -> float:
         """Rms standard deviation where anything can be expected."""
-        total = np.sum(self.directions**2, axis=1) + self.variance
-        near = np.isfinite(total)
-        return float(np.sqrt(np.mean(total[near]))) if np.any(near) else 0.0
+        return _rms_where_finite(np.sum(self.directions**2, axis=1) + self.variance)
+
+    @property
+    def rest(self) -> float:
+        """The same of what varies from window to window."""
+        return _rms_where_finite(self.variance)
 
 
 class Learnt(NamedTuple):

@@ -102,6 +102,10 @@ class Standard:
         """Return the error of a balance's form that cannot be told from a change, as a fraction of its largest term."""
         return 0.0
 
+    def beyond(self, evidence: "Evidence", channel: Channel, difference: Array) -> Array:
+        """Return the part of a difference between two hypotheses that counts against errors of form, by default all of it."""
+        return difference
+
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by noise."""
         return rules.SCATTER

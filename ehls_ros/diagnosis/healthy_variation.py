@@ -168,44 +168,27 @@ class ChannelRemainder(NamedTuple):
     Attributes:
         terms: its components.
         learnt: the learnt discrepancy.
-        transfer: rms error beyond noise of its expectation in a recording that it was not learnt from, as a fraction of the
-            largest term.
-        elsewhere: the same in a recording of another programme, if there is only one baseline.
-        misjudged: the same in standard deviations of that expectation, at least 1.
+        misjudged: error beyond noise of its expectation in a recording that it was not learnt from, in standard deviations of
+            that expectation, at least 1.
         ranges: quantiles of the signals in each baseline, by its name, shape (quantiles, signals).
     """
 
     terms: RemainderTerms
     learnt: Learnt
-    transfer: float = 0.0
-    elsewhere: float = math.inf
     misjudged: float = 1.0
     ranges: Mapping[str, Array] = {}
 
-    def with_transfer(self, baselines: Mapping[str, Windows]) -> "ChannelRemainder":
-        """Return the remainder with its transfer: the largest error in a baseline, or a section, expected from the others.
-
-        In a programme of which there is no baseline, the remainder may be larger, and look like other errors of the
-        coefficients. From a single baseline, nothing is known of that.
-        """
-        windows, recording = self.learnt.windows, self.learnt.recording
-        parts, whole = np.unique(recording), _beyond_noise(windows.residual, windows.noise)
+    def compared(self, baselines: Mapping[str, Windows]) -> "ChannelRemainder":
+        """Return the remainder with the baselines, or sections of one, compared with their expectation from the others."""
+        recording = self.learnt.recording
+        parts = np.unique(recording)
         # All windows of a baseline may lie in one section, which leaves nothing to expect it from.
-        errors = [self._unexpected(recording == k) for k in parts] if len(parts) > 1 else [(whole, math.inf)]
-        found, misjudged = (max(error) for error in zip(*errors, strict=True))
-        return self._replace(
-            transfer=found,
-            elsewhere=rules.OTHER_PROGRAMME * max(found, whole) if len(baselines) == 1 else math.inf,
-            misjudged=max(misjudged, 1.0),
-            ranges={name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()},
-        )
+        misjudged = max(self._misjudged(recording == k) for k in parts) if len(parts) > 1 else math.inf
+        ranges = {name: np.quantile(own.signals, PROGRAMME, axis=0) for name, own in baselines.items()}
+        return self._replace(misjudged=max(misjudged, 1.0), ranges=ranges)
 
-    def _unexpected(self, own: Mask) -> tuple[float, float]:
-        """Return how far some of the windows are from their expectation from the others.
-
-        Returns:
-            The rms beyond noise, and its ratio to the standard deviation of the expectation.
-        """
+    def _misjudged(self, own: Mask) -> float:
+        """Return how far some of the windows are from their expectation from the others, in standard deviations of it."""
         windows = self.learnt.windows.where(own)
         others = self._replace(learnt=self.learnt.where(~own))
         away = others.distance(windows)
@@ -215,21 +198,16 @@ class ChannelRemainder(NamedTuple):
         windows = windows.where(away <= rules.MAX_EXTRAPOLATION if few else inside)
         expected = others.expected(windows)
         off = _beyond_noise(windows.residual - expected.mean, windows.noise)
-        return off, off / expected.deviation if off > 0.0 else 0.0
+        return off / expected.deviation if off > 0.0 else 0.0
 
     def form(self, expected: Expected, *, new: bool) -> float:
-        """Return the rms error of an expectation that may pass for a change, as a fraction of the largest term.
-
-        It is that of the baselines expected from each other, within one and the most standard deviations of this expectation:
-        all baselines together may determine it better than some of them the others, or leave more open. Of another programme,
-        the baselines' errors say nothing.
+        """Return the rms error of a recording's expectation beyond its allowed variation, as a fraction of the largest term.
 
         Args:
-            expected: the expectation in a recording.
+            expected: the expectation.
             new: whether there is no baseline of its programme.
         """
-        found = self.elsewhere if new else max(self.transfer, expected.deviation)
-        return min(found, self.most(new=new) * expected.deviation)
+        return (rules.OTHER_PROGRAMME if new else 1.0) * expected.rest
 
     def most(self, *, new: bool) -> float:
         """Return the standard deviations of its expectation by which a healthy recording may differ from it, at most.
@@ -237,9 +215,7 @@ class ChannelRemainder(NamedTuple):
         Args:
             new: whether there is no baseline of its programme; of a single one, nothing is known of another.
         """
-        if new and len(self.ranges) == 1:
-            return math.inf
-        return rules.MAX_ALLOWED * self.misjudged
+        return math.inf if new and len(self.ranges) == 1 else rules.MAX_ALLOWED * self.misjudged
 
     def is_known(self, new: Windows) -> bool:
         """Return whether the signals that follow the programme range as in the baselines, or between them."""
@@ -279,7 +255,8 @@ class HealthyVariation(Standard):
         channels: the remainder by channel.
         healthy: the baselines, judged by it.
         judgements: receives each recording judged by it.
-        form: rms error of the expectation in the judged recording, as a fraction of the channel's largest term.
+        form: rms error of the expectation in the judged recording beyond its allowed variation, as a fraction of the channel's
+            largest term.
     """
 
     channels: Mapping[Channel, ChannelRemainder]
@@ -350,8 +327,12 @@ class HealthyVariation(Standard):
         return max([rules.RARE_SCATTER * noise, *rare])
 
     def form_error(self, channel: Channel) -> float:
-        """Return the rms error of the healthy remainder's expectation in the judged recording."""
+        """Return the rms error of the healthy remainder's expectation in the judged recording, beyond its allowed variation."""
         return self.form.get(channel, 0.0)
+
+    def beyond(self, evidence: Evidence, channel: Channel, difference: Array) -> Array:
+        """Return the part of a difference between two hypotheses that the healthy spread does not allow."""
+        return evidence.allowed[channel].beyond(difference)
 
     def _healthy_residuals(self, channel: Channel) -> list[Array]:
         """Return the whitened residuals of each baseline that has the channel."""
@@ -433,7 +414,7 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence], errors: Mapp
             errors=errors,
         )
         windows = {b.evidence.record.name: components.windows(b, c) for b in recordings}
-        out[c] = ChannelRemainder(components, components.learn_from(list(windows.values()))).with_transfer(windows)
+        out[c] = ChannelRemainder(components, components.learn_from(list(windows.values()))).compared(windows)
     learnt = HealthyVariation(out)
     return replace(learnt, healthy=tuple(learnt.judged_by(b.evidence, learnt.expected(b)) for b in baselines))
 

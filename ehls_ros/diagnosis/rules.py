@@ -379,7 +379,7 @@ UNCORRELATED = 0.05
 """Correlation below which windows no longer err together."""
 
 OTHER_PROGRAMME = 3.0
-"""Remainder in a programme of which there is no baseline, in multiples of that in the only baseline.
+"""Error of form in a programme of which there is no baseline, in multiples of that in the baselines' programmes.
 
 Origin: in a healthy rig's random programme, the error of the force balance was 3.2 times that in a rich one.
 """
