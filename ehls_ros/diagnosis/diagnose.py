@@ -87,15 +87,14 @@ def diagnose(
         needed = evidence.standard.excitation_needed
         verdict, unknown = decide(findings, [cause.stage for cause in named], excitation_needed=needed)
         answer = partial_answer(found, starts, progress, seed) if verdict == "unknown" else None
+        told = () if answer is None else causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
+        if not any(cause.probability >= rules.MIN_PROBABILITY or cause.equivalent_to for cause in told):
+            answer = None
         term = described(pool, found, unknown) if verdict == "unknown" and unknown is not None else None
         if term is not None and answer is not None and not set(answer.found.best.names) <= set(term.without.names):
             answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
     if answer is not None:
-        told = causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
-        if any(cause.probability >= rules.MIN_PROBABILITY or cause.equivalent_to for cause in told):
-            verdict, named = "partial", told
-        else:
-            answer = None
+        verdict, named = "partial", told
     known, best = (full, found_in_full.best) if answer is None else (answer.evidence, answer.found.best)
     if term is not None:
         known, with_term = with_allowances(evidence, found._replace(best=term.best, places=()))
