@@ -12,6 +12,7 @@ a small force against an actuator under test that holds.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
@@ -279,14 +280,10 @@ def judged(
     errors = list[float]()
     for spec in specs:
         errors.append(stepped_run(spec).largest())
-        found = found._replace(error=_mean(errors[: len(exact)]), typical=sum(errors) / len(specs), worst=max(errors))
+        found = found._replace(error=fmean(errors[: len(exact)]), typical=sum(errors) / len(specs), worst=max(errors))
         if found.score(wanted) >= beyond:
             return found._replace(typical=math.inf)
     return found
-
-
-def _mean(errors: Sequence[float]) -> float:
-    return sum(errors) / len(errors)
 
 
 def without(spec: Spec) -> dict[str, Spec]:
@@ -388,7 +385,7 @@ class _Search:
         cases = [without(with_numbers(spec, chosen.numbers)) for spec in self._exact]
         tasks = [partial(_largest, case[name]) for name in cases[0] for case in cases]
         errors = np.reshape(self._workers.run(tasks), (len(cases[0]), len(cases)))
-        return [Limit(name, _mean(each.tolist())) for name, each in zip(cases[0], errors, strict=True)]
+        return [Limit(name, fmean(each)) for name, each in zip(cases[0], errors, strict=True)]
 
 
 def _with_seed(spec: Spec, seed: int) -> Spec:
