@@ -87,7 +87,7 @@ class Parameters(NamedTuple):
     ] = 60.0
     calm_g: Annotated[
         float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4, scale="1 / pressure")
-    ] = 300.0
+    ] = 100.0
     calm_noise: Annotated[
         float,
         quantity(
