@@ -72,7 +72,10 @@ PAPER_FORCE_NOISE = PAPER_SENSORS["force"].reading_std
 
 
 class Parameters(NamedTuple):
-    """Tuning of the law, and assumptions of the filter on the rig; g and xi are the paper's, k is three times the paper's."""
+    """Tuning of the law, and assumptions of the filter on the rig; g and xi are the paper's, k is three times the paper's.
+
+    ``motion_noise`` holds for a load cell with :data:`PAPER_FORCE_NOISE` on the rig's scale.
+    """
 
     k: Slope = 36.0
     g: Annotated[

@@ -64,6 +64,9 @@ MAX_TRIALS = 70
 SPEEDS = (0.15, 0.3, 0.55, 1.0, 1.8, 3.3, 6.0)
 """Factors on all tuned rates together: the first sets tried, and those of the trade-off curve."""
 
+FAR = 2.0
+"""Error over the causal limit above which a remark names the limitation that costs most."""
+
 Progress = Callable[[int, int], None]
 
 
@@ -412,6 +415,13 @@ def _remarks(found: Tuned, tried: Sequence[Trial]) -> list[str]:
             else f"no numbers tried with {asked} are worth their error"
         )
         remarks.append(f"{reached}; {known}")
+    least = min(found.limits, key=lambda limit: limit.error)
+    if 0.0 < FAR * found.causal_limit < chosen.error and least.error < chosen.error:
+        beside = f"the error is {chosen.error / found.causal_limit:.1f} times the causal limit"
+        remarks.append(
+            f"{beside}, which leaves out the lag of the valve and the break-away of friction; without {least.removed} it is"
+            f" {least.error:.3g} N with the same numbers"
+        )
     holding = held(found.spec)
     if holding is not None and chosen.held > STEADY:
         against = "against an actuator under test that holds"
