@@ -45,10 +45,10 @@ FURTHER = (HYSTERESIS, SECOND_ORDER, (DELAY,))
 ALL_OF_VALVE = (*VALVE, *(path for group in FURTHER for path in group))
 """All coefficients that the spool depends on."""
 
-SUPPLY_PRESSURE = "plant.supply_pressure"
+SUPPLY_PRESSURE, DISCHARGE = "plant.supply_pressure", "plant.discharge_coefficient"
 FLOW = (
     SUPPLY_PRESSURE,
-    "plant.discharge_coefficient",
+    DISCHARGE,
     "plant.leakage_coefficient",
     "plant.bulk_modulus",
     "effects.valve_null_bias.opening",

@@ -22,6 +22,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.identification.rig_coefficients import (
     COULOMB,
     DELAY,
+    EDGE_GAINS,
     LOAD,
     OPTIONAL,
     SECOND_ORDER,
@@ -45,6 +46,7 @@ from ehls_ros.identification.rig_noise import corrected, gain, rounding, with_ad
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import (
     BANDWIDTH,
+    DISCHARGE,
     MIN_SIGMAS,
     OF_SENSORS,
     SEARCHED,
@@ -163,7 +165,7 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     own = [free.pop(path) for path in SENSORS if path in free]
     sensors = _fitted(stack.only(OF_SENSORS), rig, rig, own, OF_SENSORS, least, {})
     model, spread = stage_by_stage(stack, sensors.rig, free, records)
-    spread = {**spread, SUPPLY_PRESSURE: _rounding_of_supply(records, rig)}
+    spread = {**spread, **_rounding_of_supply(records, rig)}
 
     progress("standard errors", 2, STEPS)
     # The noise floor depends on the model, and the first guess was far off.
@@ -245,11 +247,15 @@ def _least(records: Sequence[Record]) -> dict[str, float]:
     }
 
 
-def _rounding_of_supply(records: Sequence[Record], rig: Rig) -> float:
-    """Return the relative standard error of the supply pressure by rounding: that of a constant is the same in all readings."""
+def _rounding_of_supply(records: Sequence[Record], rig: Rig) -> dict[str, float]:
+    """Return the standard errors of coordinates by rounding of the supply pressure, the same in all readings of a constant.
+
+    The flow is proportional to the root of the pressure, so half of its relative error returns in the flow gains.
+    """
     if not any(SUPPLY in record for record in records):
-        return 0.0
-    return rig.sensors.get("supply_pressure", Sensor()).resolution / math.sqrt(12.0) / rig.plant.supply_pressure
+        return {}
+    rounded = rig.sensors.get("supply_pressure", Sensor()).resolution / math.sqrt(12.0) / rig.plant.supply_pressure
+    return {SUPPLY_PRESSURE: rounded, **dict.fromkeys((DISCHARGE, *EDGE_GAINS), 0.5 * rounded)}
 
 
 class _Fitted(NamedTuple):

@@ -246,7 +246,8 @@ def test_a_force_that_repeats_is_foreseen_after_one_load_cycle_beside_it():
     bare, learnt = (np.sqrt(np.mean(one**2, axis=1)) for one in error)
     assert np.array_equal(error[0][:2], error[1][:2])
     assert learnt[2] < 0.3 * bare[2]
-    assert np.all(learnt[4:] < 0.2 * bare[4:])
+    # What the sensors' noise leaves, in N rms.
+    assert np.all(learnt[4:] < 4.0)
 
 
 def test_what_is_foreseen_is_the_part_that_repeats_and_has_its_derivatives():

@@ -18,7 +18,7 @@ from ehls_ros.experiments.tuning import tune as tuning
 from ehls_ros.experiments.tuning.files import document, experiment_text, parameters_text
 from ehls_ros.experiments.tuning.loop_margins import UNSTABLE, changed, margins_of, slipping
 from ehls_ros.experiments.tuning.task import held, task_of, usual
-from ehls_ros.experiments.tuning.tune import Trial, Wanted, tune
+from ehls_ros.experiments.tuning.tune import Limit, Trial, Wanted, _remarks, tune
 from ehls_ros.experiments.tuning.uncertainty import LIMIT, uncertain
 from ehls_ros.physics.rig import effects_from_list, rig_to_mapping
 from ehls_ros.recording.yaml_text import parse_yaml
@@ -191,6 +191,14 @@ def test_the_files_give_the_numbers_found(tuned):
     assert node.endswith("fasmc_node")
     assert content["ros__parameters"] == pytest.approx(numbers, rel=1e-5)
     assert document(tuned)["chosen"]["max_error_n"] == tuned.chosen.error
+
+
+def test_far_from_the_causal_limit_the_costliest_limitation_is_named(tuned):
+    far = tuned._replace(causal_limit=0.1 * tuned.chosen.error, limits=(Limit("friction", 0.2 * tuned.chosen.error),))
+    [said] = [remark for remark in _remarks(far, ()) if "causal limit" in remark]
+    assert "10.0 times" in said
+    assert "without friction" in said
+    assert not any("causal limit" in remark for remark in _remarks(far._replace(causal_limit=tuned.chosen.error), ()))
 
 
 @pytest.mark.long

@@ -1,7 +1,7 @@
 """Finite-time adaptive sliding mode force control that predicts friction and disturbance by rate and model.
 
 As in :mod:`~ehls_ros.control.controllers.fasmc_output_feedback`, a filter predicts the state to the time when the command acts,
-including friction elements, and the command is chosen for the whole cycle. There are three differences:
+including friction elements, and the command is chosen for the whole cycle. There are four differences:
 
 * The law takes sensor noise, command delay and coupling to the actuator under test from the rig file.
 * The filter's bandwidth for the external force follows the activity of that force (:mod:`ehls_ros.control.process_noise`). No
@@ -9,6 +9,8 @@ including friction elements, and the command is chosen for the whole cycle. Ther
   subtracted from the force to be estimated. The filter of the quieter remainder is quieter.
 * The steepness of the sliding surface follows the activity too. A quiet filter has little noise, so the surface may be steep
   and leave little error. A fast filter would pass its noise on to the force.
+* The force missing in the model of the motion is taken in proportion to the noise of the load cell: a rig with finer sensors is
+  known more exactly.
 """
 
 from typing import Annotated, NamedTuple
@@ -22,7 +24,15 @@ from ehls_ros.control.controllers.base import Model
 from ehls_ros.control.process_noise import ProcessNoise, external_noise
 from ehls_ros.control.reaching_law import RateWeight, ReachingRate, Slope, Surface, answer
 from ehls_ros.control.reaching_law import tracking as surface_tracking
-from ehls_ros.control.rig_scale import PAPER_FORCE, PAPER_OIL_STIFFNESS, PAPER_PLANT, PAPER_PRESSURE, PAPER_SPOOL, largest_force
+from ehls_ros.control.rig_scale import (
+    PAPER_FORCE,
+    PAPER_OIL_STIFFNESS,
+    PAPER_PLANT,
+    PAPER_PRESSURE,
+    PAPER_SENSORS,
+    PAPER_SPOOL,
+    largest_force,
+)
 from ehls_ros.control.state_estimator import (
     EXTERNAL_RATE,
     ActuatorMass,
@@ -47,7 +57,7 @@ FOLLOWS = "force"
 FRICTION = False
 FRICTION_MODEL = state_estimator.FRICTION_MODEL
 NEEDS = ("position", "load_pressure", "spool_position", "force")
-TUNED = ("reaching_rate", "k", "g", "calm_g", "rate_noise", "least_noise", "reversal_factor")
+TUNED = ("reaching_rate", "k", "g", "calm_g", "rate_noise", "least_noise", "reversal_factor", "motion_noise")
 PREVIEW = True
 KNOWS = ("command_delay", "coupling_stiffness")
 
@@ -57,11 +67,17 @@ MIN_POSITION_NOISE, MIN_PRESSURE_NOISE, MIN_SPOOL_NOISE, MIN_FORCE_NOISE = 1e-9,
 """Lower bounds of the sensors' standard deviations on the paper's rig [m, Pa, m, N], as no model is more accurate; those of
 pressure, spool and force are scaled with the rig's."""
 
+PAPER_FORCE_NOISE = PAPER_SENSORS["force"].reading_std
+"""Noise of the load cell for which ``motion_noise`` is declared [N]."""
+
 
 class Parameters(NamedTuple):
-    """Tuning of the law, and assumptions of the filter on the rig; k, g and xi are the paper's."""
+    """Tuning of the law, and assumptions of the filter on the rig; g and xi are the paper's, k is three times the paper's.
 
-    k: Slope = 12.0
+    ``motion_noise`` holds for a load cell with :data:`PAPER_FORCE_NOISE` on the rig's scale.
+    """
+
+    k: Slope = 36.0
     g: Annotated[
         float,
         quantity(
@@ -74,7 +90,7 @@ class Parameters(NamedTuple):
     ] = 60.0
     calm_g: Annotated[
         float, quantity("1/MPa", "the same while the disturbance is calm", minimum=0.1, maximum=1e4, scale="1 / pressure")
-    ] = 300.0
+    ] = 100.0
     calm_noise: Annotated[
         float,
         quantity(
@@ -131,6 +147,7 @@ def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> A
     rate = state.mean[EXTERNAL_RATE] - state.expected[1]
     noise = external_noise(rate, state.mean[V], model.period, relation, activity)
     force, pressure = largest_force(model.plant) / PAPER_FORCE, model.plant.supply_pressure / PAPER_PRESSURE
+    force_noise = max(model.noise.force, MIN_FORCE_NOISE * force)
     return Assumptions(
         model.coupling_stiffness,
         model.coupling_damping,
@@ -138,8 +155,8 @@ def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> A
         max(model.noise.position, MIN_POSITION_NOISE),
         max(model.noise.load_pressure, MIN_PRESSURE_NOISE * pressure),
         max(model.noise.spool_position, MIN_SPOOL_NOISE * (model.spool_limit / PAPER_SPOOL)),
-        max(model.noise.force, MIN_FORCE_NOISE * force),
-        p.motion_noise,
+        force_noise,
+        p.motion_noise * force_noise / (PAPER_FORCE_NOISE * force),
         p.oil_noise,
         p.valve_noise,
         noise,

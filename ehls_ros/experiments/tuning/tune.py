@@ -12,6 +12,7 @@ a small force against an actuator under test that holds.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +63,9 @@ MAX_TRIALS = 70
 
 SPEEDS = (0.15, 0.3, 0.55, 1.0, 1.8, 3.3, 6.0)
 """Factors on all tuned rates together: the first sets tried, and those of the trade-off curve."""
+
+FAR = 2.0
+"""Error over the causal limit above which a remark names the limitation that costs most."""
 
 Progress = Callable[[int, int], None]
 
@@ -279,14 +283,10 @@ def judged(
     errors = list[float]()
     for spec in specs:
         errors.append(stepped_run(spec).largest())
-        found = found._replace(error=_mean(errors[: len(exact)]), typical=sum(errors) / len(specs), worst=max(errors))
+        found = found._replace(error=fmean(errors[: len(exact)]), typical=sum(errors) / len(specs), worst=max(errors))
         if found.score(wanted) >= beyond:
             return found._replace(typical=math.inf)
     return found
-
-
-def _mean(errors: Sequence[float]) -> float:
-    return sum(errors) / len(errors)
 
 
 def without(spec: Spec) -> dict[str, Spec]:
@@ -388,7 +388,7 @@ class _Search:
         cases = [without(with_numbers(spec, chosen.numbers)) for spec in self._exact]
         tasks = [partial(_largest, case[name]) for name in cases[0] for case in cases]
         errors = np.reshape(self._workers.run(tasks), (len(cases[0]), len(cases)))
-        return [Limit(name, _mean(each.tolist())) for name, each in zip(cases[0], errors, strict=True)]
+        return [Limit(name, fmean(each)) for name, each in zip(cases[0], errors, strict=True)]
 
 
 def _with_seed(spec: Spec, seed: int) -> Spec:
@@ -415,6 +415,13 @@ def _remarks(found: Tuned, tried: Sequence[Trial]) -> list[str]:
             else f"no numbers tried with {asked} are worth their error"
         )
         remarks.append(f"{reached}; {known}")
+    least = min(found.limits, key=lambda limit: limit.error)
+    if 0.0 < FAR * found.causal_limit < chosen.error and least.error < chosen.error:
+        beside = f"the error is {chosen.error / found.causal_limit:.1f} times the causal limit"
+        remarks.append(
+            f"{beside}, which leaves out the lag of the valve and the break-away of friction; without {least.removed} it is"
+            f" {least.error:.3g} N with the same numbers"
+        )
     holding = held(found.spec)
     if holding is not None and chosen.held > STEADY:
         against = "against an actuator under test that holds"

@@ -1,0 +1,83 @@
+"""Wrong numbers of a rig file: the laws on the paper's emulated rig by the defaults of a bridge, and without them.
+
+    python -m benchmarks.wrong_numbers
+
+A sine of 10 kN at 0.5 Hz against the position servo, with sensors and a delay of one cycle. Each row has one wrong number or
+lacks some; the error is that of the true force, the largest of the last half.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from benchmarks.common import parser_of
+from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.real_rig import for_real_rig
+from ehls_ros.experiments.spec import COMMAND_DELAY, COUPLING, Spec, load_rig, spec_from_mapping
+from ehls_ros.experiments.stepped_run import stepped_run
+from ehls_ros.physics.rig import rig_to_mapping
+
+LAWS = ("fasmc_predictive", "fasmc_output_feedback")
+LOW, HIGH = 0.8, 1.2
+
+
+class Case(NamedTuple):
+    """A rig file.
+
+    Attributes:
+        factors: on coefficients of the plant, by name.
+        known: effects that it has.
+        noise: whether it has the noise of the sensors.
+    """
+
+    factors: Mapping[str, float] = {}
+    known: tuple[str, ...] = (COMMAND_DELAY, COUPLING)
+    noise: bool = True
+
+
+CASES = {
+    "right": Case(),
+    **{
+        f"{name} {'high' if factor > 1.0 else 'low'}": Case({name: factor})
+        for name in ("bulk_modulus", "piston_area", "discharge_coefficient", "valve_bandwidth", "moving_mass")
+        for factor in (LOW, HIGH)
+    },
+    "no delay": Case(known=(COUPLING,)),
+    "no coupling": Case(known=(COMMAND_DELAY,)),
+    "neither": Case(known=()),
+    "neither, area low": Case({"piston_area": LOW}, ()),
+    "neither, area high": Case({"piston_area": HIGH}, ()),
+    "no noise of the sensors": Case(noise=False),
+}
+
+
+def experiment(law: str, case: Case, duration: float) -> Spec:
+    """Return the experiment of a law with a rig file."""
+    rig = load_rig(configured("rig_paper_measured"))
+    wrong = rig.with_plant(**{name: factor * getattr(rig.plant, name) for name, factor in case.factors.items()})
+    content: dict[str, Any] = {
+        "rig": rig_to_mapping(rig),
+        "controller_rig": rig_to_mapping(wrong if case.noise else wrong._replace(sensors={})),
+        "effects": [{"name": COMMAND_DELAY, "delay": 1e-3}],
+        "known_effects": list(case.known),
+        "duration": duration,
+        "reference": {"name": "sine", "amplitude": 1e4, "frequency": 0.5},
+        "disturbance": {"name": "position_servo", "signal": {"name": "sine", "amplitude": 0.125, "frequency": 1.0}},
+        "controller": {"name": law},
+    }
+    return spec_from_mapping(content, "wrong numbers", configured("rig_paper").parent)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--duration", type=float, default=10.0, help="of each run, s (%(default)s)")
+    duration = parser.parse_args().duration
+    print(f"{'largest error in N':26}" + "".join(f"{law:>24}{'no adaptation':>16}" for law in LAWS))
+    for name, case in CASES.items():
+        specs = [experiment(law, case, duration) for law in LAWS]
+        cells = [(stepped_run(for_real_rig(spec).spec).largest(), stepped_run(spec).largest()) for spec in specs]
+        print(f"{name:26}" + "".join(f"{real:24.4g}{plain:16.4g}" for real, plain in cells), flush=True)
+
+
+if __name__ == "__main__":
+    main()
