@@ -82,7 +82,8 @@ def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[
     Only the part beyond possible measurement errors counts.
     """
     one, other = more.fit.residuals.values, less.fit.residuals.values
-    return {c: evidence.standard.difference(evidence, c, one[c], other[c]) for c in evidence.channels}
+    whole = {c: evidence.whole(c, one[c]) - evidence.whole(c, other[c]) for c in evidence.channels}
+    return {c: evidence.standard.counted(evidence, c, change) for c, change in whole.items()}
 
 
 def beyond_form(evidence: Evidence, apart: Mapping[Channel, Array]) -> dict[Channel, Array]:

@@ -102,17 +102,17 @@ class Standard:
         """Return the error of a balance's form that cannot be told from a change, as a fraction of its largest term."""
         return 0.0
 
-    def beyond(self, evidence: "Evidence", channel: Channel, difference: Array) -> Array:
-        """Return the part of a difference between two hypotheses that counts against errors of form, by default all of it."""
-        return difference
+    def beyond(self, evidence: "Evidence", channel: Channel, change: Array) -> Array:
+        """Return the part of a counted change that is compared with the error of form."""
+        return change
 
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by noise."""
         return rules.SCATTER
 
-    def difference(self, evidence: "Evidence", channel: Channel, one: Array, other: Array) -> Array:
-        """Return the difference between a channel's whitened residuals that cannot be fault-free variation, in full."""
-        return one - other
+    def counted(self, evidence: "Evidence", channel: Channel, change: Array) -> Array:
+        """Return the part of a change of a channel's residuals, in units of the noise floor, that is relevant if large."""
+        return change
 
     def before(self, evidence: "Evidence", channel: Channel, before: Array, after: Array) -> Array:
         """Return the residuals of the given model in which a first cause's share is closed, whitened like ``after``."""

@@ -113,10 +113,10 @@ def sensitivities(
             # At the size of one standard deviation of the noise, within the bounds of the allowances.
             length = max(float(np.linalg.norm(columns[main])), 1e-300)
             effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
-            least = max(rules.RELEVANT, evidence.standard.form_error(main) if beside_form else 0.0)
-            smallest = smallest_detectable(sum(informed.values()), effect, least, evidence.standard.needed_gain)
+            smallest = smallest_detectable(sum(informed.values()), effect, rules.RELEVANT, evidence.standard.needed_gain)
             if smallest is not None:
-                smallest = beyond_allowances(evidence, comparison, direction, smallest, least, inflation)
+                form = {c: evidence.standard.form_error(c) if beside_form else 0.0 for c in columns}
+                smallest = beyond_allowances(evidence, comparison, direction, smallest, form, inflation)
             if smallest is not None:
                 out += direction.sizes(smallest)
     return tuple(out)
@@ -150,7 +150,7 @@ def beyond_allowances(
     comparison: Comparison,
     direction: Direction,
     smallest: float,
-    least: float,
+    form: Mapping[Channel, float],
     inflation: Mapping[Channel, float],
 ) -> float | None:
     """Return the size that shows beyond the variation that is allowed within bounds.
@@ -162,7 +162,7 @@ def beyond_allowances(
         comparison: comparison of the calling thread.
         direction: that of the effect.
         smallest: size that would show if residuals were linear.
-        least: relevant rms, as a fraction of the largest term.
+        form: error of form that it must exceed in some channel, as a fraction of the largest term.
         inflation: divisor of each channel's losses.
 
     Returns:
@@ -174,14 +174,13 @@ def beyond_allowances(
         changed = extended(evidence.rig, (direction.cause,), direction.origin + tried * direction.step)
         moved, base = evidence.residuals(comparison, changed).values, evidence.base.values
         per_size = {c: (evidence.whole(c, moved[c]) - evidence.whole(c, base[c])) / tried for c in direction.columns}
-        return _shown_from(evidence, per_size, smallest, least, inflation)
+        return _shown_from(evidence, per_size, smallest, form, inflation)
 
     tried = min(smallest, direction.largest)
     if tried <= 0.0:
         return smallest
     if direction.known == 0.0:
-        bounded = any(evidence.allowed[c].is_bounded for c in direction.columns if c in evidence.allowed)
-        return shown_from(tried) if bounded else smallest
+        return shown_from(tried) if any(c in evidence.allowed for c in direction.columns) else smallest
     before = direction.known, smallest
     for _ in range(RUNS):
         shown = shown_from(tried)
@@ -210,20 +209,25 @@ def _power(before: tuple[float, float], now: tuple[float, float]) -> float:
 
 
 def _shown_from(
-    evidence: Evidence, per_size: Mapping[Channel, Array], smallest: float, least: float, inflation: Mapping[Channel, float]
+    evidence: Evidence,
+    per_size: Mapping[Channel, Array],
+    smallest: float,
+    form: Mapping[Channel, float],
+    inflation: Mapping[Channel, float],
 ) -> float:
     """Return the size from which a change in proportion to it shows, with the allowances for its true size."""
-    needed = needed_sigmas(evidence.standard.needed_gain)
+    needed, standard = needed_sigmas(evidence.standard.needed_gain), evidence.standard
 
     def shows_at(size: float) -> bool:
-        information, relevant = 0.0, 0.0
+        information, relevant = 0.0, False
         for c, column in per_size.items():
             change, given = size * column, evidence.allowed.get(c)
             seen = change if given is None else given.whitened(change)
-            beyond = given.beyond(change) if given is not None and given.is_bounded else change
             information += float(seen @ seen) / inflation.get(c, 1.0)
-            relevant = max(relevant, evidence.nrmse(c, beyond))
-        return information >= (1.0 - ROUNDING) * needed**2 and relevant >= (1.0 - ROUNDING) * least
+            counted = standard.counted(evidence, c, change)
+            exceeds = evidence.nrmse(c, standard.beyond(evidence, c, counted)) > form[c]
+            relevant |= exceeds and evidence.nrmse(c, counted) >= (1.0 - ROUNDING) * rules.RELEVANT
+        return information >= (1.0 - ROUNDING) * needed**2 and relevant
 
     # From the size that would show if nothing were allowed.
     certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())

@@ -330,9 +330,9 @@ class HealthyVariation(Standard):
         """Return the rms error of the healthy remainder's expectation in the judged recording, beyond its allowed variation."""
         return self.form.get(channel, 0.0)
 
-    def beyond(self, evidence: Evidence, channel: Channel, difference: Array) -> Array:
-        """Return the part of a difference between two hypotheses that the healthy spread does not allow."""
-        return evidence.allowed[channel].beyond(difference)
+    def beyond(self, evidence: Evidence, channel: Channel, change: Array) -> Array:
+        """Return the part of a change that the healthy spread does not allow; that spread makes no change smaller."""
+        return evidence.allowed[channel].beyond(change) if channel in evidence.allowed else change
 
     def _healthy_residuals(self, channel: Channel) -> list[Array]:
         """Return the whitened residuals of each baseline that has the channel."""
@@ -341,10 +341,6 @@ class HealthyVariation(Standard):
     def scatter(self, windows: float) -> float:
         """Return the multiple of its mean that the mean square of so many independent windows may reach by chance."""
         return rules.SCATTER * (1.0 + rules.MAX_ALLOWED * math.sqrt(2.0 / windows))
-
-    def difference(self, evidence: Evidence, channel: Channel, one: Array, other: Array) -> Array:
-        """Return the difference in full: the healthy spread can make a change less certain, but not smaller."""
-        return evidence.whole(channel, one) - evidence.whole(channel, other)
 
     def before(self, evidence: Evidence, channel: Channel, before: Array, after: Array) -> Array:
         """Return the residuals of the given model in which a first cause's share is closed, whitened like ``after``.

@@ -32,10 +32,9 @@ class BeyondMeasurement(Standard):
         """Return evidence, so far without allowances, judged by this standard."""
         return allowing(evidence, measurement(evidence), self)
 
-    def difference(self, evidence: Evidence, channel: Channel, one: Array, other: Array) -> Array:
-        """Return the difference beyond the bounds of the allowances in full: the weights there only soften their edge."""
-        whole = evidence.whole(channel, one) - evidence.whole(channel, other)
-        return evidence.allowed[channel].beyond(whole) if channel in evidence.allowed else whole
+    def counted(self, evidence: Evidence, channel: Channel, change: Array) -> Array:
+        """Return the change beyond the bounds of the allowances in full: the weights there only soften their edge."""
+        return evidence.allowed[channel].beyond(change) if channel in evidence.allowed else change
 
 
 BEYOND_MEASUREMENT = BeyondMeasurement()
