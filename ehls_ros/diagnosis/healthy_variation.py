@@ -213,9 +213,10 @@ class ChannelRemainder(NamedTuple):
         """Return the standard deviations of its expectation by which a healthy recording may differ from it, at most.
 
         Args:
-            new: whether there is no baseline of its programme; of a single one, nothing is known of another.
+            new: whether there is no baseline of its programme; the sections of a single one say little of another.
         """
-        return math.inf if new and len(self.ranges) == 1 else rules.MAX_ALLOWED * self.misjudged
+        single = new and len(self.ranges) == 1
+        return rules.MAX_ALLOWED * self.misjudged * (rules.OTHER_PROGRAMME if single else 1.0)
 
     def is_known(self, new: Windows) -> bool:
         """Return whether the signals that follow the programme range as in the baselines, or between them."""
