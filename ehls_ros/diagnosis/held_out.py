@@ -63,8 +63,8 @@ class Assessment(NamedTuple):
         """
         part = parts(self.hypothesis)[index]
         away, covariance = self.fit.values[part] - self.hypothesis[index].neutral, self.held_out.covariance[part, part]
-        deviation = np.sqrt(np.diag(covariance))
-        # A parameter without effect has no variance.
+        # A parameter without effect has no variance, or a negative one by rounding.
+        deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         known = (deviation > 0.0) & np.isfinite(deviation)
         if not np.any(known):
             return 0.0
