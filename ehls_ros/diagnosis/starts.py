@@ -13,7 +13,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import MIN_DAMPING, Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment
-from ehls_ros.diagnosis.hypotheses import Candidate, at_lines, bounds, extended
+from ehls_ros.diagnosis.hypotheses import Candidate, Hypothesis, at_lines, bounds, extended
 from ehls_ros.diagnosis.loss import CLIP, gauss_newton, linear_loss, loss
 from ehls_ros.diagnosis.pool import Pool, Progress
 from ehls_ros.diagnosis.record import LOAD
@@ -112,7 +112,8 @@ class Starts:
         """
         evidence, few = self.pool.evidence, self.tried.few
         left = {c for c in evidence.channels if member.excess(evidence, c) > PROMISING}
-        causes = [fits[0].hypothesis[0] for fits in self.tried.fits if left & set(fits[0].channels)]
+        acting = [fits[0].hypothesis[0] for fits in self.tried.fits if left & set(fits[0].channels)]
+        causes = [cause for cause in acting if _can_join(cause, member.hypothesis)]
 
         def given(worker: Worker, within: Evidence) -> Evidence:
             model = extended(within.rig, member.hypothesis, member.fit.values)
@@ -149,8 +150,7 @@ class Starts:
         least += member.fit.loss - predicted_loss(member.fit)
         for other in others:
             (cause,) = other.hypothesis
-            parted = cause.separates_load and any(c.separates_load for c in member.hypothesis)
-            if parted or cause.name in member.names:
+            if not _can_join(cause, member.hypothesis):
                 continue
             start = combined(evidence, member.fit, other, base)
             key = cause.name, cause.number
@@ -198,6 +198,11 @@ def leading(ranked: Sequence[Fit], count: int) -> list[int]:
     """
     groups = [EFFECTS.load(fit.hypothesis[-1].name).GROUP for fit in ranked]
     return [i for i, group in enumerate(groups) if i < count or group not in groups[:i]]
+
+
+def _can_join(cause: Candidate, hypothesis: Hypothesis) -> bool:
+    """Return whether a cause can be one more of a hypothesis: not there yet, and at most one of them separates the load."""
+    return not any(cause.name == c.name or (cause.separates_load and c.separates_load) for c in hypothesis)
 
 
 def _gain_beside(few: Evidence, remainder: Residuals, other: Fit) -> float:
