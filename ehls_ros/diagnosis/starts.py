@@ -38,6 +38,12 @@ LINE_SAMPLES = 16
 LINE_PADDING = 4
 """Zero padding of the spectrum, as a multiple of the signal's length."""
 
+HARMONICS = 7
+"""Highest multiple of a sinusoidal load's frequency at which the model errs noticeably; far higher, any line is near one."""
+
+MOSTLY = 0.5
+"""Fraction of a signal's power that is left without the frequency of a sinusoidal one, at most."""
+
 LINE_WIDTH = 3.0
 """Half width of the band removed around a line, in multiples of the frequency resolution."""
 
@@ -286,7 +292,7 @@ def main_channel(channels: Sequence[Channel]) -> Channel:
 def lines_left(evidence: Evidence, e: Array) -> tuple[float, ...]:
     """Return the lines in the main channel's residual from which a periodic disturbance may start, strongest first [Hz].
 
-    Beside errors of form, that of a sinusoidal load and its harmonics are left out: the model errs in step with the load.
+    Beside errors of form, those of the load are left out: the model errs in step with it.
 
     Args:
         evidence: the recording compared with the given model.
@@ -297,15 +303,34 @@ def lines_left(evidence: Evidence, e: Array) -> tuple[float, ...]:
     lines = spectral_lines(e, times)
     if not lines or not evidence.standard.form_is_noise or LOAD not in evidence.record:
         return lines
-    load = evidence.means(main, evidence.record.values(LOAD))
+    return beside_load(lines, evidence.means(main, evidence.record.values(LOAD)), times)
+
+
+def beside_load(lines: Sequence[float], load: Array, times: Array) -> tuple[float, ...]:
+    """Return the lines that are not among those of a load, nor among the harmonics of a sinusoidal one.
+
+    Args:
+        lines: their frequencies [Hz].
+        load: the load, shape (n,).
+        times: its times, shape (n,) [s].
+    """
     spread = float(np.std(load))
-    driven = spectral_lines((load - np.mean(load)) / spread, times, 1) if spread > 0.0 else ()
-    resolution = LINE_WIDTH / float(np.ptp(times))
+    driven = spectral_lines((load - np.mean(load)) / spread, times) if spread > 0.0 else ()
+    resolution = 1.0 / float(np.ptp(times))
 
-    def is_harmonic(line: float, of: float) -> bool:
-        return abs(line - max(round(line / of), 1) * of) < resolution
+    def is_driven(line: float) -> bool:
+        order = np.clip(round(line / driven[0]), 1, HARMONICS) if _is_sinusoidal(load, times, driven[0]) else 1
+        return any(abs(line - of) < resolution for of in (*driven, order * driven[0]))
 
-    return tuple(line for line in lines if not any(is_harmonic(line, of) for of in driven))
+    return tuple(line for line in lines if not (driven and is_driven(line)))
+
+
+def _is_sinusoidal(signal: Array, times: Array, frequency: float) -> bool:
+    """Return whether one frequency holds most of a signal's power."""
+    angle = 2.0 * math.pi * frequency * times
+    columns = np.column_stack([np.ones(len(times)), np.cos(angle), np.sin(angle)])
+    left = signal - columns @ np.linalg.lstsq(columns, signal, rcond=None)[0]
+    return bool(np.var(left) < MOSTLY * np.var(signal))
 
 
 def spectral_lines(e: Array, times: Array, count: int = LINES) -> tuple[float, ...]:

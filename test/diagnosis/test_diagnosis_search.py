@@ -29,7 +29,7 @@ from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended
 from ehls_ros.diagnosis.pool import Pool, informative_blocks
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.search import Place, simpler
-from ehls_ros.diagnosis.starts import LINE_SAMPLES, combined, main_channel, spectral_lines
+from ehls_ros.diagnosis.starts import LINE_SAMPLES, beside_load, combined, main_channel, spectral_lines
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory
@@ -137,6 +137,19 @@ def test_spectral_lines_are_found_strongest_first():
 def test_few_windows_have_no_lines():
     t = 0.01 * np.arange(LINE_SAMPLES - 1)
     assert spectral_lines(np.sin(t), t) == ()
+
+
+@pytest.mark.parametrize(("frequency", "left"), [(1.0, (1.968, 2.5)), (0.105, (1.968, 2.5, 3.01))], ids=["fast", "slow"])
+def test_lines_in_step_with_a_sinusoidal_load_are_left_out(frequency, left):
+    # High multiples of a slow load's frequency lie everywhere.
+    t = 0.0137 * np.arange(4400)
+    assert beside_load((frequency, 1.968, 2.5, 3.01), 20.0 + np.sin(2 * np.pi * frequency * t), t) == left
+
+
+def test_of_a_random_load_only_its_own_lines_are_left_out():
+    t = 0.0137 * np.arange(4400)
+    load = sum(np.sin(2 * np.pi * f * t + f) for f in (0.31, 0.83, 1.77))
+    assert beside_load((0.62, 0.83, 1.24), load, t) == (0.62, 1.24)
 
 
 def test_lines_are_sought_in_the_force_balance_if_there_is_one():
