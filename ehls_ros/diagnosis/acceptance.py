@@ -1,5 +1,6 @@
 """Acceptance of a further cause, which must have sufficient gain, significance and relevance."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import singledispatch
@@ -57,7 +58,9 @@ def _explains(
     much = much or (gain >= rules.REMOVED_EXCESS * excess and not standard.form_is_noise)
     # A cause must not gain more by averaging noise than by explaining.
     averaged = more.held_out.averaged - less.held_out.averaged
-    return much and gain >= averaged and _surest(more, less) >= rules.MIN_SIGMAS
+    # Standard errors tell how sure a size is; a change far beyond what is allowed may be sure, and its size not.
+    sure = max(_surest(more, less), _steadiness(more, less, inflation) if standard.bounds_are_of_chance else 0.0)
+    return much and gain >= averaged and sure >= rules.MIN_SIGMAS
 
 
 @_explains.register
@@ -185,6 +188,13 @@ def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> floa
     if not less.names:
         before = evidence.standard.before(evidence, main, before, after)
     return closed(before, after, evidence.noise[main])
+
+
+def _steadiness(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> float:
+    """Return the mean gain of a hypothesis over another in a block, in standard errors by the scatter of the blocks."""
+    blocks = more.per_block(inflation) - less.per_block(inflation)
+    scatter = float(np.std(blocks, ddof=1)) * math.sqrt(len(blocks)) if len(blocks) > 1 else 0.0
+    return float(np.sum(blocks)) / scatter if scatter > 0.0 else 0.0
 
 
 def _surest(more: Assessment, less: Assessment) -> float:

@@ -14,6 +14,7 @@ from ehls_ros.diagnosis.acceptance import (
     accepted,
     corrects_form,
     differences,
+    explains,
     gain_ratio,
     is_new,
     mostly_in,
@@ -179,6 +180,16 @@ def test_a_sure_cause_with_too_little_gain_is_not_accepted(beyond, taken):
     gain = rules.NEEDED_GAIN + rules.PENALTY + beyond
     more = assessed((VISCOUS,), {"force": np.full(240, 0.5)}, [1.0], {"force": np.full(12, gain / 12.0)}, 1e-6 * np.eye(1))
     assert accepted(evidence, more, nothing(evidence), FORCE) is taken
+
+
+@pytest.mark.parametrize(("scatter", "taken"), [(0.2, True), (4.0, False)])
+def test_against_baselines_a_change_of_vague_size_is_sure_if_every_block_gains(scatter, taken):
+    evidence = evidence_of({"force": np.full(240, 3.0)})
+    each = 10.0 * (1.0 + scatter * np.tile([1.0, -1.0], 6))
+    more = assessed((VISCOUS,), {"force": np.full(240, 0.5)}, [1.0], {"force": each}, np.eye(1))
+    assert not explains(evidence, more, nothing(evidence), FORCE)
+    judged = replace(evidence, standard=HealthyVariation({}))
+    assert explains(judged, more, nothing(judged), FORCE) is taken
 
 
 @pytest.mark.parametrize(("size", "taken"), [(0.8, False), (3.0, True)])
