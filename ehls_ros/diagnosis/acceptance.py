@@ -193,8 +193,9 @@ def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> floa
 def _steadiness(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> float:
     """Return the mean gain of a hypothesis over another in a block, in standard errors by the scatter of the blocks."""
     blocks = more.per_block(inflation) - less.per_block(inflation)
-    scatter = float(np.std(blocks, ddof=1)) * math.sqrt(len(blocks)) if len(blocks) > 1 else 0.0
-    return float(np.sum(blocks)) / scatter if scatter > 0.0 else 0.0
+    if len(blocks) < 2:
+        return 0.0
+    return float(np.sum(blocks)) / max(float(np.std(blocks, ddof=1)) * math.sqrt(len(blocks)), 1e-300)
 
 
 def _surest(more: Assessment, less: Assessment) -> float:

@@ -198,6 +198,10 @@ class Evidence:
         """Return a channel's whitened residuals with the allowed variation restored, in units of the noise floor."""
         return self.allowed[channel].whole(e) if channel in self.allowed else e
 
+    def beyond(self, channel: Channel, change: Array) -> Array:
+        """Return the part of a change of a channel's residuals, in units of the noise floor, that is not allowed variation."""
+        return self.allowed[channel].beyond(change) if channel in self.allowed else change
+
     def unbounded(self) -> "Evidence":
         """Return the evidence with allowances of the same variation without bounds."""
         free = {c: allowed.unbounded() for c, allowed in self.allowed.items()}

@@ -333,7 +333,7 @@ class HealthyVariation(Standard):
 
     def beyond(self, evidence: Evidence, channel: Channel, change: Array) -> Array:
         """Return the part of a change that the healthy spread does not allow; that spread makes no change smaller."""
-        return evidence.allowed[channel].beyond(change) if channel in evidence.allowed else change
+        return evidence.beyond(channel, change)
 
     def _healthy_residuals(self, channel: Channel) -> list[Array]:
         """Return the whitened residuals of each baseline that has the channel."""

@@ -34,7 +34,7 @@ class BeyondMeasurement(Standard):
 
     def counted(self, evidence: Evidence, channel: Channel, change: Array) -> Array:
         """Return the change beyond the bounds of the allowances in full: the weights there only soften their edge."""
-        return evidence.allowed[channel].beyond(change) if channel in evidence.allowed else change
+        return evidence.beyond(channel, change)
 
 
 BEYOND_MEASUREMENT = BeyondMeasurement()

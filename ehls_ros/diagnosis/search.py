@@ -153,7 +153,7 @@ def _added(
     for count in range(1, MAX_CAUSES + 1):
         ranked, scale = _improving(evidence, level, best, given, beam)
         if not ranked and best is not given:
-            level += fitted(evidence, pool, starts.anew(best))
+            level = [*level, *fitted(evidence, pool, starts.anew(best))]
             ranked, scale = _improving(evidence, level, best, given, beam)
         if not ranked:
             break

@@ -120,12 +120,12 @@ class Starts:
         left = {c for c in evidence.channels if member.excess(evidence, c) > PROMISING}
         acting = [fits[0].hypothesis[0] for fits in self.tried.fits if left & set(fits[0].channels)]
         causes = [cause for cause in acting if _can_join(cause, member.hypothesis)]
-
-        def given(worker: Worker, within: Evidence) -> Evidence:
-            model = extended(within.rig, member.hypothesis, member.fit.values)
-            return replace(within, rig=model, base=within.residuals(within.comparison(), model))
-
-        whole, blocks = self.pool.map(given, [evidence, few])
+        if not causes:
+            return []
+        model = extended(evidence.rig, member.hypothesis, member.fit.values)
+        whole = replace(evidence, rig=model, base=member.fit.residuals)
+        # The few blocks are the same object if all blocks are tried, so that no start is evaluated twice.
+        blocks = whole if few is evidence else replace(few, rig=model, base=few.residuals(few.comparison(), model))
         with closing(self.pool.beside(whole, blocks)) as pool:
             fits = Starts(pool, try_starts(pool, causes)).alone
         return self._promising(member, fits, whole.base)
@@ -316,13 +316,10 @@ def beside_load(lines: Sequence[float], load: Array, times: Array) -> tuple[floa
     """
     spread = float(np.std(load))
     driven = spectral_lines((load - np.mean(load)) / spread, times) if spread > 0.0 else ()
+    if driven and _is_sinusoidal(load, times, driven[0]):
+        driven += tuple(order * driven[0] for order in range(2, HARMONICS + 1))
     resolution = 1.0 / float(np.ptp(times))
-
-    def is_driven(line: float) -> bool:
-        order = np.clip(round(line / driven[0]), 1, HARMONICS) if _is_sinusoidal(load, times, driven[0]) else 1
-        return any(abs(line - of) < resolution for of in (*driven, order * driven[0]))
-
-    return tuple(line for line in lines if not (driven and is_driven(line)))
+    return tuple(line for line in lines if all(abs(line - of) >= resolution for of in driven))
 
 
 def _is_sinusoidal(signal: Array, times: Array, frequency: float) -> bool:
