@@ -81,9 +81,7 @@ def _lone(values: Array) -> Mask:
     if not np.any(sizes > 0.0):
         return sizes > 0.0
     # A sample off the curve of its neighbours puts four of these off theirs.
-    blocks = np.array_split(sizes, max(1, len(sizes) // (4 * NEIGHBOURS)))
-    around = np.repeat([np.median(block) for block in blocks], [len(block) for block in blocks])
-    far = sizes > OUTLIER * GAUSS * np.maximum(around, np.median(sizes[sizes > 0.0]))
+    far = sizes > OUTLIER * GAUSS * np.maximum(_block_medians(sizes, 4 * NEIGHBOURS), np.median(sizes[sizes > 0.0]))
     out: Mask = far.copy()
     padded = np.pad(off, reach)
     for shift, weight in enumerate(BESIDE):
@@ -116,6 +114,14 @@ def _off_curve(values: Array, sizes: Array, middle: int) -> NDArray[np.intp]:
             return index[~kept] if alone else index[:0]
         kept[np.argmax(np.where(kept, off, -1.0))] = False
     return index[:0]
+
+
+def _block_medians(values: Array, length: int) -> Array:
+    """Return the median of the block of about a length in which each value lies, shape (n,)."""
+    short, longer = divmod(len(values), max(1, len(values) // length))
+    parts = np.split(values, [longer * (short + 1)])
+    rows = (parts[0].reshape(longer, short + 1), parts[1].reshape(-1, short))
+    return np.concatenate([np.repeat(np.median(part, axis=1), part.shape[1]) for part in rows])
 
 
 def _sides(medians: Array) -> tuple[Array, Array]:
