@@ -63,6 +63,9 @@ class Standard:
     needed_gain = rules.NEEDED_GAIN
     """Gain on held-out data, less the penalty, that a cause must bring [nat]."""
 
+    relevant_beside = rules.RELEVANT_BESIDE
+    """Least change of a balance by a further cause, as a fraction of its largest term."""
+
     min_gain_ratio = rules.MIN_GAIN_RATIO
     """Minimum gain of a cause, as a fraction of the possible gain of its change of the residuals."""
 

@@ -50,6 +50,7 @@ class BesideForm(BeyondMeasurement):
     """
 
     form: float = rules.FORM_ERROR
+    relevant_beside = rules.FORM_ERROR
     accepted_rivals_only = True
 
     def lenient(self) -> "BesideForm":
