@@ -165,7 +165,7 @@ def test_a_hysteresis_of_the_pressure_sensor_is_known_from_the_load_cell():
 def test_the_period_that_predicts_a_remainder_is_found():
     values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
     target, even = np.sin(2.0 * np.pi * values / 8.1e-3 + 0.4), np.arange(3000) // 100 % 2 == 0
-    waves, share = waves_along(lambda signal: signal, values).strongest(target, even)
+    waves, share = waves_along(lambda signal: signal, values, even).strongest(target)
     assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
     assert share > 0.9
 
@@ -174,7 +174,7 @@ def test_a_whole_fraction_of_a_period_is_preferred():
     values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
     angle = 2.0 * np.pi * values / 8.1e-3 + 0.4
     target, even = np.sin(angle) + 0.1 * np.random.default_rng(1).standard_normal(3000), np.arange(3000) // 100 % 2 == 0
-    waves, _ = waves_along(lambda signal: signal, values).strongest(target, even)
+    waves, _ = waves_along(lambda signal: signal, values, even).strongest(target)
     assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
 
 
