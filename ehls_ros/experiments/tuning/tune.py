@@ -116,8 +116,9 @@ class Trial(NamedTuple):
 
     def lacking(self, wanted: Wanted) -> float:
         """Return the logarithm of the factor on the error by which the search counts lacking margins and unsteadiness."""
-        margins = PRICE * math.log((distance(*wanted) + NEAR) / (distance(self.gain_db, self.margins.phase_deg) + NEAR))
-        return max(margins, 0.0) + max(math.log(max(self.held, LEAST) / STEADY), 0.0)
+        wide, short = distances(*wanted), distances(self.gain_db, self.margins.phase_deg)
+        ratio = max((asked + NEAR) / (found + NEAR) for asked, found in zip(wide, short, strict=True))
+        return PRICE * math.log(max(ratio, 1.0)) + max(math.log(max(self.held, LEAST) / STEADY), 0.0)
 
     def has(self, wanted: Wanted) -> bool:
         """Return whether the loop has the margins asked for."""
@@ -235,9 +236,9 @@ def tune(
     return found._replace(remarks=(*task.remarks, *_remarks(found, search.trials)))
 
 
-def distance(gain_db: float, phase_deg: float) -> float:
-    """Return the distance of the critical point from the points of the frequency response that give both margins."""
-    return min(1.0 - math.pow(10.0, -gain_db / 20.0), 2.0 * math.sin(0.5 * math.radians(min(phase_deg, 180.0))))
+def distances(gain_db: float, phase_deg: float) -> tuple[float, float]:
+    """Return the distances from the critical point of the points of a frequency response with a gain and a phase margin."""
+    return 1.0 - math.pow(10.0, -gain_db / 20.0), 2.0 * math.sin(0.5 * math.radians(min(phase_deg, 180.0)))
 
 
 def check_margins(wanted: Wanted) -> None:
@@ -424,12 +425,8 @@ def _remarks(found: Tuned, tried: Sequence[Trial]) -> list[str]:
     if not chosen.has(wanted):
         reached = f"the margins found are {chosen.gain_db:.1f} dB and {chosen.margins.phase_deg:.0f} degrees"
         asked = f"{wanted.gain_db:g} dB and {wanted.phase_deg:g} degrees"
-        costs = [trial.error for trial in tried if trial.has(wanted) and trial.typical < math.inf]
-        known = (
-            f"with {asked} the error is {min(costs):.3g} N at least"
-            if costs
-            else f"no numbers tried with {asked} are worth their error"
-        )
+        costs = [trial.error for trial in tried if trial.has(wanted) and not loses(found.task.spec, trial.error)]
+        known = f"with {asked} the error is {min(costs):.3g} N at least" if costs else f"no numbers tried have {asked}"
         remarks.append(f"{reached}; {known}")
     least = min(found.limits, key=lambda limit: limit.error)
     if 0.0 < FAR * found.causal_limit < chosen.error and least.error < chosen.error:
