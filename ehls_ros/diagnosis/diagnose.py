@@ -90,7 +90,7 @@ def diagnose(
         told = () if answer is None else causes(answer.evidence, answer.found, seed, rules.RIGHT_BESIDE_FORM, answer.refitted)
         if not any(cause.probability >= rules.MIN_PROBABILITY or cause.equivalent_to for cause in told):
             answer = None
-        term = described(pool, found, unknown) if verdict == "unknown" and unknown is not None else None
+        term = described(pool, found, answer, unknown) if verdict == "unknown" and unknown is not None else None
         if term is not None and answer is not None and not set(answer.found.best.names) <= set(term.without.names):
             answer, term = (None, term) if leaves_less(evidence, term, answer) else (answer, None)
     if answer is not None:

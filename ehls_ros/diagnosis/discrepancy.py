@@ -51,10 +51,7 @@ FOLDS = 5
 """Parts in which stretches are held out when the remainder is learnt."""
 
 LEARNING_STEPS = 8
-"""Rounds in which sizes and noise of the remainder are estimated."""
-
-ROBUST_STEPS = 3
-"""Rounds of Huber's weights in each of these."""
+"""Rounds in which sizes and noise of the remainder, and Huber's weights of the windows, are estimated."""
 
 MAX_MEMORY = 40
 """Windows over which the remainder may be correlated, at most, and length of the stretches that are held out.
@@ -130,6 +127,7 @@ class Learnt(NamedTuple):
 
     Attributes:
         windows: of all recordings.
+        weight: Huber's, of each window, shape (n,).
         recording: recording, or section of a single one, of each window, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
@@ -144,6 +142,7 @@ class Learnt(NamedTuple):
     """
 
     windows: Windows
+    weight: Array
     recording: NDArray[np.intp]
     middle: Array
     scale: Array
@@ -202,14 +201,15 @@ class Learnt(NamedTuple):
         squares, along = np.linalg.eigh(self.varying)
         deviating = columns[:, : len(self.varying)] @ (along * np.sqrt(np.maximum(squares, 0.0)))[:, squares > 0.0]
         parts = [deviating * (self.recording == k)[:, None] for k in np.unique(self.recording)]
-        variance = self.variance(self.windows, own)
-        mean, covariance = _posterior(np.hstack([columns, *parts]), self.windows.residual, variance, self.fitted)
+        weight = self.weight / self.variance(self.windows, own)
+        products = _products(np.hstack([columns, *parts]), self.windows.residual, weight)
+        mean, covariance = _posterior([products], self.fitted)
         m = columns.shape[1]
         return mean[:m], covariance[:m, :m]
 
     def where(self, kept: Mask) -> "Learnt":
         """Return the model with some of the windows only."""
-        return self._replace(windows=self.windows.where(kept), recording=self.recording[kept])
+        return self._replace(windows=self.windows.where(kept), weight=self.weight[kept], recording=self.recording[kept])
 
     def leaving(self, after: Array) -> "Learnt":
         """Return the model with its unexplained rest estimated from the residuals on held-out stretches, shape (n,)."""
@@ -255,7 +255,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
     count = 2 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
-        data, recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
+        data, np.ones(len(data.residual)), recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
         np.diag((default_spread / error) ** 2), np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
     features, y = _features(now.warped(data.signals), data.factor, data.terms[:, fitted]), data.residual
@@ -265,8 +265,9 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
         functions, own = features.sized(now.sizes)
         columns = np.hstack([data.terms * error, functions])
         variance = now.variance(data, own)
-        mean, inverse = _posterior(columns, y, variance, fitted)
-        after = _held_out(columns[:, _chosen(fitted, columns)], y, variance, fold)
+        folds = _by_fold(columns, y, now.weight / variance, fold)
+        mean, inverse = _posterior(folds, fitted)
+        after = _held_out(columns, y, folds, fitted, fold)
         # A function's initial size counts as one more of its weights, so that none vanishes for lack of data.
         energy = np.bincount(features.group, (mean**2 + np.diag(inverse))[data.terms.shape[1] :], count)
         grown = (energy + (size / now.sizes) ** 2) / (members + 1.0)
@@ -275,6 +276,7 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
             # larger than the residual itself.
             sizes=np.clip(now.sizes * np.sqrt(grown), NEGLIGIBLE * size, np.sqrt(count) * size),
             power=(float(np.mean(y**2)), float(np.mean(after**2))),
+            weight=weights((y - columns @ mean) / np.sqrt(variance)),
         ).leaving(after)
     return _with_spread(now, features, default_spread, len(recordings) == 1)
 
@@ -343,42 +345,57 @@ def _folds(windows: int) -> NDArray[np.intp]:
     return np.arange(windows) // MAX_MEMORY % FOLDS
 
 
-def _chosen(fitted: Mask, columns: Array) -> Mask:
-    """Return the mask of fitted columns: those of the fitted coefficients, which come first, and all of the functions."""
-    return np.concatenate([fitted, np.ones(columns.shape[1] - len(fitted), dtype=np.bool_)])
+class _Products(NamedTuple):
+    """Weighted products of columns with each other, shape (m, m), and with the residual, shape (m,)."""
+
+    normal: Array
+    moment: Array
 
 
-def _normal(columns: Array, weight: Array) -> Array:
-    """Return the products of all columns with each other under the weight of each window, shape (m, m)."""
+def _products(columns: Array, y: Array, weight: Array) -> _Products:
+    """Return the products over some windows.
+
+    Args:
+        columns: of standard normal weights, shape (n, m).
+        y: the residual, shape (n,).
+        weight: of each window, shape (n,).
+    """
     scaled = columns * np.sqrt(weight)[:, None]
     # numpy computes half of a matrix times its own transpose, and copies the other half.
-    products: Array = scaled.T @ scaled
-    return products
+    return _Products(scaled.T @ scaled, columns.T @ (weight * y))
 
 
-def _posterior(columns: Array, y: Array, variance: Array, fitted: Mask) -> tuple[Array, Array]:
-    """Return mean and covariance of standard normal weights under the Huber loss; the mean of unfitted ones is zero."""
-    chosen = _chosen(fitted, columns)
-    mean, normal = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
-    for _ in range(ROBUST_STEPS):
-        w = weights((y - columns @ mean) / np.sqrt(variance)) / variance
-        normal = _normal(columns, w) + np.eye(columns.shape[1])
-        mean[chosen] = scipy.linalg.cho_solve(
-            scipy.linalg.cho_factor(normal[np.ix_(chosen, chosen)]), (columns.T @ (w * y))[chosen]
-        )
-    return mean, scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), np.eye(columns.shape[1]))
+def _by_fold(columns: Array, y: Array, weight: Array, fold: NDArray[np.intp]) -> list[_Products]:
+    """Return the products over the windows of each fold."""
+    inside = (fold == f for f in range(FOLDS))
+    return [_products(columns[own], y[own], weight[own]) for own in inside]
 
 
-def _held_out(columns: Array, y: Array, variance: Array, fold: NDArray[np.intp]) -> Array:
-    """Return the residuals of each fold with the weights fitted to the others."""
+def _solved(folds: Sequence[_Products], fitted: Mask) -> tuple[Array, Array]:
+    """Return the mean of standard normal weights given some products, and the inverse of their covariance.
+
+    Only the fitted columns have a mean: those of the fitted coefficients, which come first, and all of the functions.
+    """
+    normal, moment = (np.sum([getattr(own, name) for own in folds], axis=0) for name in _Products._fields)
+    normal += np.eye(len(normal))
+    chosen = np.concatenate([fitted, np.ones(len(normal) - len(fitted), dtype=np.bool_)])
+    mean = np.zeros(len(normal))
+    mean[chosen] = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal[np.ix_(chosen, chosen)]), moment[chosen])
+    return mean, normal
+
+
+def _posterior(folds: Sequence[_Products], fitted: Mask) -> tuple[Array, Array]:
+    """Return mean and covariance of standard normal weights; the mean of unfitted ones is zero."""
+    mean, normal = _solved(folds, fitted)
+    return mean, scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal), np.eye(len(normal)))
+
+
+def _held_out(columns: Array, y: Array, folds: Sequence[_Products], fitted: Mask, fold: NDArray[np.intp]) -> Array:
+    """Return the residuals of each fold with the weights fitted to the others, shape (n,)."""
     left = y.copy()
-    folds = [fold == f for f in np.unique(fold)]
-    normals = [_normal(columns[inside], 1.0 / variance[inside]) for inside in folds]
-    moments = [columns[inside].T @ (y[inside] / variance[inside]) for inside in folds]
-    whole, moment = sum(normals, np.eye(columns.shape[1])), sum(moments, np.zeros(columns.shape[1]))
-    for inside, normal, part in zip(folds, normals, moments, strict=True):
-        rest = scipy.linalg.cho_factor(whole - normal)
-        left[inside] -= columns[inside] @ scipy.linalg.cho_solve(rest, moment - part)
+    for f in range(FOLDS):
+        mean, _ = _solved([own for g, own in enumerate(folds) if g != f], fitted)
+        left[fold == f] -= columns[fold == f] @ mean
     return left
 
 
@@ -418,7 +435,7 @@ def _with_spread(found: Learnt, features: _Features, default_spread: Array, only
     # A coefficient without default spread does not vary.
     least, varies = default_spread / found.error, np.flatnonzero(default_spread)
     turned = np.eye(terms)
-    turned[np.ix_(varies, varies)] = np.linalg.eigh(_normal(columns[:, varies], np.ones(len(columns))))[1]
+    turned[np.ix_(varies, varies)] = np.linalg.eigh(columns[:, varies].T @ columns[:, varies])[1]
     group = np.concatenate([np.arange(terms), terms + features.group])
     default = np.concatenate([_turned(least, turned), np.full(len(found.sizes), rules.FUNCTION_SPREAD)])
     between = _between(rest, np.hstack([columns[:, :terms] @ turned, functions]), own, group, default)
@@ -458,17 +475,20 @@ def _between(rest: Learnt, columns: Array, own: Array, group: NDArray[np.intp], 
     between, fold = np.where(default > 0.0, 1.0, 0.0), _folds(len(data.residual))
     all_fitted = np.ones(0, dtype=np.bool_)
     for _ in range(SPREAD_STEPS):
-        energy, determined, after = np.zeros(len(default)), np.zeros(len(default)), data.residual.copy()
+        energy, determined = np.zeros(len(default)), np.zeros(len(default))
+        after, weight = data.residual.copy(), rest.weight.copy()
         variance = rest.variance(data, own)
         for k in members:
             inside = rest.recording == k
-            part = columns[inside] * between[group]
-            shift, inverse = _posterior(part, data.residual[inside], variance[inside], all_fitted)
-            after[inside] = _held_out(part, data.residual[inside], variance[inside], fold[inside])
+            part, y = columns[inside] * between[group], data.residual[inside]
+            folds = _by_fold(part, y, rest.weight[inside] / variance[inside], fold[inside])
+            shift, inverse = _posterior(folds, all_fitted)
+            after[inside] = _held_out(part, y, folds, all_fitted, fold[inside])
+            weight[inside] = weights((y - part @ shift) / np.sqrt(variance[inside]))
             energy += np.bincount(group, shift**2, len(default))
             determined += np.bincount(group, 1.0 - np.diag(inverse), len(default))
         # Fitting the mean to all recordings takes the degrees of freedom of one.
         determined *= max(len(members) - 1, 1) / len(members)
         between = np.sqrt((between**2 * energy + default**2) / (determined + 1.0))
-        rest = rest.leaving(after)
+        rest = rest._replace(weight=weight).leaving(after)
     return between

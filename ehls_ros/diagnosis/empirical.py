@@ -19,7 +19,7 @@ from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit, Start, Worker
-from ehls_ros.diagnosis.held_out import Assessment
+from ehls_ros.diagnosis.held_out import Assessment, assess
 from ehls_ros.diagnosis.hypotheses import Candidate, parts
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.partial import PartialAnswer
@@ -113,7 +113,7 @@ class _Offer(NamedTuple):
         return f"{p.effect} over {_signal(p.effect, p.argument)}{factor}"
 
 
-def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
+def described(pool: Pool, found: Searched, answer: PartialAnswer | None, stage: Stage) -> Described | None:
     """Return the term that describes what the named causes leave in a stage; None if none closes a worthwhile part.
 
     Named causes may only imitate the term: it is also sought without each of them, and without all.
@@ -121,11 +121,13 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
     Args:
         pool: the threads.
         found: result of the search for named causes.
+        answer: the causes named beside a remainder, if any.
         stage: the stage with the unexplained remainder.
     """
     evidence = pool.evidence
     nothing = given_model(evidence)
-    bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), found.best)}
+    partly = nothing if answer is None else _refitted(evidence, answer)
+    bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), partly, found.best)}
     inside = asked_about(evidence, stage)
     linearised, begun = dict[tuple[object, ...], list[Fit]](), list[tuple[Assessment, Proposal, Start]]()
     for base in bases.values():
@@ -154,11 +156,31 @@ def described(pool: Pool, found: Searched, stage: Stage) -> Described | None:
         starts = [combined(evidence, nothing.fit, fit) for fit in linearised[offer.proposal.key]]
         both += [_Offer(nothing, j, offer.proposal) for j in fitted(evidence, pool, starts)]
     offer = _simplest(evidence, [_as_formula(pool, o, nothing) for o in both], nothing)
+    if answer is not None:
+        offer = _beside_answer(evidence, partly, offer)
     scale = inflations(evidence, [offer.more])
     share = share_closed(evidence, offer.more, offer.base)
     if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
         return None
     return Described(offer.more, offer.base, _term(evidence, offer), others)
+
+
+def _refitted(evidence: Evidence, answer: PartialAnswer) -> Assessment:
+    """Return the causes of a partial answer, fitted with only the sensors' noise counted as noise."""
+    worker, fit = Worker(evidence), answer.found.best.fit
+    return assess(evidence, worker.fit(worker.linearise(fit.hypothesis, fit.values, fit.steps)), worker)
+
+
+def _beside_answer(evidence: Evidence, answer: Assessment, offer: _Offer) -> _Offer:
+    """Return a term beside the causes of a partial answer if these act in other channels only; else as offered.
+
+    Where only the sensors' noise counts, errors of form in those channels pass for causes.
+    """
+    if most_explained(offer.base.held_out.residuals, offer.more.held_out.residuals) in answer.fit.channels:
+        return offer
+    worker, start = Worker(evidence), answer.fit.beside(offer.more.fit.only(-1))
+    fit = worker.fit(worker.linearise(start.hypothesis, start.values, start.steps))
+    return _Offer(answer, assess(evidence, fit, worker), offer.proposal)
 
 
 def asked_about(evidence: Evidence, stage: Stage) -> list[Asked]:
@@ -172,7 +194,9 @@ def asked_about(evidence: Evidence, stage: Stage) -> list[Asked]:
 
 
 def _equally_good(evidence: Evidence, found: Sequence[Assessment], simpler: Assessment) -> list[int]:
-    """Return the indices of the hypotheses that explain as much as the best one, best first.
+    """Return the indices of the hypotheses that explain as much as the best one in each channel, best first.
+
+    A fraction of a large error in one channel may be all of another.
 
     Args:
         evidence: the recording compared with the given model.
@@ -181,9 +205,16 @@ def _equally_good(evidence: Evidence, found: Sequence[Assessment], simpler: Asse
     """
     scale = inflations(evidence, found)
     scores = [j.score(scale) for j in found]
-    best = max(scores)
-    enough = best - max(rules.EQUAL, rules.EQUAL_FRACTION * (best - simpler.score(scale)))
-    return sorted((i for i, score in enumerate(scores) if score >= enough), key=lambda i: -scores[i])
+    order = sorted(range(len(found)), key=lambda i: -scores[i])
+    most = found[order[0]].gains(scale)
+    allowed = {c: max(rules.EQUAL, rules.EQUAL_FRACTION * (most[c] - simpler.gains(scale).get(c, 0.0))) for c in most}
+
+    def is_equal(j: Assessment) -> bool:
+        gains = j.gains(scale)
+        return all(gains.get(c, 0.0) >= most[c] - allowed[c] for c in most)
+
+    enough = scores[order[0]] - sum(allowed.values())
+    return [i for i in order if scores[i] >= enough and is_equal(found[i])]
 
 
 def _simplest(evidence: Evidence, offers: Sequence[_Offer], nothing: Assessment) -> _Offer:

@@ -12,6 +12,7 @@ from ehls_ros.diagnosis.acceptance import shows
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.hypotheses import Candidate, extended
+from ehls_ros.diagnosis.loss import rms
 from ehls_ros.diagnosis.result import Sensitivity
 from ehls_ros.diagnosis.stages import Channel, Comparison, Stage
 
@@ -112,9 +113,11 @@ def sensitivities(
             main = max(columns, key=informed.__getitem__)
             # At the size of one standard deviation of the noise, within the bounds of the allowances.
             length = max(float(np.linalg.norm(columns[main])), 1e-300)
-            effect = length * evidence.nrmse(main, evidence.whole(main, columns[main] / length))
+            whole = length * evidence.whole(main, columns[main] / length)
+            effect = evidence.nrmse(main, whole)
             smallest = smallest_detectable(sum(informed.values()), effect, rules.RELEVANT, evidence.standard.needed_gain)
             if smallest is not None:
+                smallest = max(smallest, rules.SHOWN / max(rms(whole), 1e-300))
                 form = {c: evidence.standard.form_error(c) if beside_form else 0.0 for c in columns}
                 smallest = beyond_allowances(evidence, comparison, direction, smallest, form, inflation)
             if smallest is not None:
@@ -219,7 +222,7 @@ def _shown_from(
     needed, standard = needed_sigmas(evidence.standard.needed_gain), evidence.standard
 
     def shows_at(size: float) -> bool:
-        information, relevant = 0.0, False
+        information, relevant, stands_out = 0.0, False, False
         for c, column in per_size.items():
             change, given = size * column, evidence.allowed.get(c)
             seen = change if given is None else given.whitened(change)
@@ -227,11 +230,13 @@ def _shown_from(
             counted = standard.counted(evidence, c, change)
             exceeds = evidence.nrmse(c, standard.beyond(evidence, c, counted)) > form[c]
             relevant |= exceeds and evidence.nrmse(c, counted) >= (1.0 - ROUNDING) * rules.RELEVANT
-        return information >= (1.0 - ROUNDING) * needed**2 and relevant
+            stands_out |= rms(counted) >= (1.0 - ROUNDING) * rules.SHOWN
+        return information >= (1.0 - ROUNDING) * needed**2 and relevant and stands_out
 
     # From the size that would show if nothing were allowed.
     certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())
-    size = smallest if certain == 0.0 else needed / math.sqrt(certain)
+    largest = max(rms(column) for column in per_size.values())
+    size = smallest if certain == 0.0 else max(needed / math.sqrt(certain), rules.SHOWN / largest)
     for _ in range(MAX_GROWTHS):
         if shows_at(size):
             break

@@ -88,8 +88,15 @@ class Assessment(NamedTuple):
         Args:
             inflation: divisor of each channel's losses, the same for all compared hypotheses.
         """
-        gain = sum(float(g.sum()) / inflation[c] for c, g in self.held_out.gain.items())
-        return gain - rules.PENALTY * len(self.fit.values)
+        return sum(self.gains(inflation).values()) - rules.PENALTY * len(self.fit.values)
+
+    def gains(self, inflation: Mapping[Channel, float]) -> dict[Channel, float]:
+        """Return the held-out gain in each channel that is changed [nats].
+
+        Args:
+            inflation: divisor of each channel's losses.
+        """
+        return {c: float(gain.sum()) / inflation[c] for c, gain in self.held_out.gain.items()}
 
     def excess(self, evidence: Evidence, channel: Channel) -> float:
         """Return the excess of a channel's loss over that of noise [nats]."""

@@ -1,9 +1,9 @@
 """Fit of a rig's coefficients to the residuals of all stages of its recordings."""
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +119,8 @@ class Stack:
         return out
 
 
-class RigFit(NamedTuple):
+@dataclass(frozen=True)
+class RigFit:
     """Coefficients fitted to recordings.
 
     Attributes:
@@ -128,10 +129,10 @@ class RigFit(NamedTuple):
         rig: the rig with them.
         rows: mask of the rows of the stack they were fitted to, shape (rows,).
         e: residuals of these rows in units of their channels' scales, shape (n,).
-        jacobian: derivatives of ``e`` by the coordinates, shape (n, p).
         scales: of these rows, shape (n,).
         loss: of ``e`` [nats].
         converged: whether the fit has converged.
+        derivatives: computes ``jacobian``, which most fits from several starts do without.
     """
 
     chosen: tuple[Coefficient, ...]
@@ -139,10 +140,15 @@ class RigFit(NamedTuple):
     rig: Rig
     rows: NDArray[np.bool_]
     e: Array
-    jacobian: Array
     scales: Array
     loss: float
     converged: bool
+    derivatives: Callable[[], Array]
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Derivatives of ``e`` by the coordinates, shape (n, p)."""
+        return self.derivatives()
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -173,7 +179,7 @@ def fit(
         rig: starting point of the fit.
         chosen: the coefficients to fit.
         channels: the channels to fit to.
-        iterations: maximum number of steps; 0: only evaluate the derivatives at the start.
+        iterations: maximum number of steps; 0: only evaluate the start.
         freedoms: effective number of windows of a channel over which errors of the model's form average out; by default all.
     """
     rows = stack.rows(channels)
@@ -194,10 +200,10 @@ def fit(
     scales = stack.scales(whole, freedoms)[rows]
     converged = not chosen
     for iteration in range(iterations + 1):
-        e = whole[rows] / scales
-        jacobian = slopes(z) / scales[:, np.newaxis]
         if converged or iteration == iterations:
             break
+        e = whole[rows] / scales
+        jacobian = slopes(z) / scales[:, np.newaxis]
         # The first guess counts as a measurement with a standard deviation of 1; it decides if the data do not.
         with_guess, directions = np.concatenate([e, z - guess]), np.vstack([jacobian, np.eye(len(chosen))])
         before = float(np.sum(loss(with_guess)))
@@ -226,4 +232,8 @@ def fit(
         scales = now
         converged = steady and before - after < CONVERGED + CONVERGED_FRACTION * before
     e = whole[rows] / scales
-    return RigFit(tuple(chosen), z, model(z), rows, e, jacobian, scales, float(np.sum(loss(e))), converged)
+
+    def derivatives() -> Array:
+        return slopes(z) / scales[:, np.newaxis]
+
+    return RigFit(tuple(chosen), z, model(z), rows, e, scales, float(np.sum(loss(e))), converged, derivatives)

@@ -1,6 +1,7 @@
 """Identifiability of a rig's coefficients: which the recordings determine, and which only in combination."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -153,8 +154,11 @@ def _at_limit(fit: RigFit, index: int) -> bool:
 
 
 def _only(fit: RigFit, columns: Sequence[int]) -> RigFit:
-    return fit._replace(
-        chosen=tuple(fit.chosen[i] for i in columns), z=fit.z[list(columns)], jacobian=fit.jacobian[:, list(columns)]
+    return replace(
+        fit,
+        chosen=tuple(fit.chosen[i] for i in columns),
+        z=fit.z[list(columns)],
+        derivatives=lambda: fit.jacobian[:, list(columns)],
     )
 
 

@@ -1,6 +1,7 @@
 """Starting point for the fit of a whole rig: each stage's coefficients from its residuals, robust to a poor first guess."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -299,7 +300,7 @@ def _with_further(stack: Stack, basic: RigFit, free: Mapping[str, Coefficient], 
         needed = SECOND_ORDER if group == SECOND_ORDER else group[:1]
         if not _is_better(stack, other, best, [needed], KEPT_GAIN):
             best, used = other, others
-    return best._replace(rig=acting(best.rig))
+    return replace(best, rig=acting(best.rig))
 
 
 def _added(

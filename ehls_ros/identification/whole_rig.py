@@ -303,9 +303,12 @@ def _fitted(
     fitted, absent = list(chosen), dict[str, Estimate]()
     now = fit(stack, start, fitted, channels)
     reasons, doubtful, moved = dict[str, str](), list[Coefficient](), dict[str, float]()
+
+    def with_doubtful() -> RigFit:
+        return fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0) if doubtful else now
+
     for _ in range(ROUNDS):
-        whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
-        found = estimated(stack, whole, len(doubtful), spread, form=True)
+        found = estimated(stack, with_doubtful(), len(doubtful), spread, form=True)
         none = {
             c.path: c.neutral
             for c in fitted
@@ -335,8 +338,8 @@ def _fitted(
         doubtful.append(next(c for c in chosen if c.path == LOAD))
     noisy = with_added_noise(stack)
     free_of_noise = corrected(stack, now, noisy)
-    now = free_of_noise.fit._replace(converged=now.converged)
-    whole = fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0)
+    converged, now = now.converged, free_of_noise.fit
+    whole = with_doubtful()
     rounded = rounding(stack, now)
     further = {
         p: math.hypot(spread.get(p, 0.0), moved.get(p, 0.0), error, rounded[p]) for p, error in free_of_noise.spread.items()
@@ -348,7 +351,7 @@ def _fitted(
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
     kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons and c.path not in absent]
     estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
-    return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, now.converged)
+    return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, converged)
 
 
 def _moved(stack: Stack, fitted: RigFit, doubtful: Sequence[Coefficient], channels: Collection[Channel]) -> dict[str, float]:

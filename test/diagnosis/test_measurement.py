@@ -20,6 +20,8 @@ from ehls_ros.diagnosis.search import Place, Searched
 WINDOWS = 600
 SHAPE = np.sin(np.arange(WINDOWS) / 30.0)
 UNIT = SHAPE / np.linalg.norm(SHAPE)
+NEEDED = max(excitation.needed_sigmas(rules.NEEDED_GAIN), rules.SHOWN * math.sqrt(WINDOWS))
+"""Size of a change along it that shows: certain, and comparable with the noise."""
 
 
 def allowance(size=40.0, most=rules.MAX_ALLOWED):
@@ -114,8 +116,7 @@ def test_the_size_of_an_effect_that_is_not_smooth_is_sought(monkeypatch, power, 
     gap = candidate("hinge_backlash", "gap", lower=0.0)
     fit = Fit((gap,), np.array([start]), ("force",), known.residuals(None, start), np.ones((WINDOWS, 1)), 0.0, np.ones(1))
     (found,) = excitation.sensitivities(known, [fit], {})
-    needed = excitation.needed_sigmas(rules.NEEDED_GAIN)
-    assert found.smallest == pytest.approx((needed / 2.0) ** (1.0 / power), rel=0.25)
+    assert found.smallest == pytest.approx((NEEDED / 2.0) ** (1.0 / power), rel=0.25)
 
 
 def test_each_parameter_of_an_effect_without_a_simpler_form_has_a_smallest_size(monkeypatch):
@@ -127,7 +128,7 @@ def test_each_parameter_of_an_effect_without_a_simpler_form_has_a_smallest_size(
     positive, negative = excitation.sensitivities(known, [fit], {})
     assert (positive.parameter, negative.parameter) == ("command_positive", "command_negative")
     assert positive.smallest == pytest.approx(2.0 * negative.smallest)
-    assert positive.smallest == pytest.approx(excitation.needed_sigmas(rules.NEEDED_GAIN) / 2.0)
+    assert positive.smallest == pytest.approx(NEEDED / 2.0)
 
 
 def test_an_effect_that_shrinks_as_its_parameter_grows_has_no_size(monkeypatch):
