@@ -125,6 +125,8 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         spool: float,
         plant: Plant,
         rod: Equivalent,
+        gain_positive: float,
+        gain_negative: float,
         m: Array,
         r: Array,
         f: Array,
@@ -133,7 +135,10 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         own: Array,
         status: Array,
     ) -> float:
-        """Return the command of the law for a double rod with these coefficients, and a spool displacement [m]."""
+        """Return the command of the law for a double rod with these coefficients, and a spool displacement [m].
+
+        Both gains are those of :class:`~ehls_ros.control.controllers.base.Model`.
+        """
         seen, wanted = readings(), row()
         for i in range(signals):
             seen[i] = m[i]
@@ -157,6 +162,8 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
             model.cylinder,
             model.valve,
             rod.stiffness,
+            gain_positive,
+            gain_negative,
         )
         return step(seen, wanted, f, p, local, own, status)
 
@@ -168,12 +175,14 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
             before[i] = own[i]
         side = -1.0 if spool < 0.0 else 1.0
         near = equivalent(m, side, MIN_DROP, model.plant, model.cylinder, model.valve)
-        command = answer(spool, near.plant, near, m, r, f, p, model, own, status)
+        beyond = equivalent(m, -side, MIN_DROP, model.plant, model.cylinder, model.valve)
+        other = beyond.plant.discharge_coefficient / near.plant.discharge_coefficient
+        positive, negative = (1.0, other) if side > 0.0 else (other, 1.0)
+        command = answer(spool, near.plant, near, positive, negative, m, r, f, p, model, own, status)
         valve_gain, followed = model.plant.valve_gain, -math.expm1(-model.period * model.plant.valve_bandwidth)
         if inverts and (spool + followed * (valve_gain * command - spool)) * side < 0.0:
             # The spool passes null, beyond which an opening has another gain. The law is given the opening on the other side
             # with the present flow.
-            beyond = equivalent(m, -side, MIN_DROP, model.plant, model.cylinder, model.valve)
             pressure = m[sensors.LOAD_PRESSURE] - near.offset / near.plant.piston_area
             opened = gain(beyond.plant, beyond.supply_pressure, pressure, -side)
             moved = spool * gain(near.plant, near.supply_pressure, pressure, side) / opened
@@ -182,7 +191,7 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
             for i in range(size):
                 own[i] = before[i]
             scaled = with_discharge(beyond.plant, seen_as * beyond.plant.discharge_coefficient)
-            command = answer(moved, scaled, beyond, m, r, f, p, model, own, status)
+            command = answer(moved, scaled, beyond, 1.0, 1.0, m, r, f, p, model, own, status)
             end = side * min(side * (moved + followed * (valve_gain * command - moved)), 0.0)
             # The mean flow of the cycle is to be that of the openings moved and end. A spool that moves steadily to x has it if
             # x^2 - (moved + end) x + spool end = 0; at end, it would have been on this side of null for too long or too short.

@@ -193,6 +193,8 @@ def build_law(
             cylinder_of(b, at.cylinder),
             valve_of(b, at.valve),
             1.0,
+            1.0,
+            1.0,
         )
         estimate, tuning = estimate_of(b, seen.estimate), tuning_of(b, at.tuning)
         b[at.command] = answer(measured, row, estimate, tuning, model, memory_of(b, at.memory), status)

@@ -185,6 +185,12 @@ def test_every_law_controls_the_force_of_a_single_rod(law, make_spec_of):
     assert evaluate(run_in_process(spec)).max_error_n < 150.0
 
 
+@pytest.mark.long
+def test_the_predictive_law_passes_null_where_the_gain_of_the_next_edges_is_another(make_spec_of):
+    # While its filter had one gain for both sides, and its search two trials, it lost the force at this turn.
+    assert evaluate(run_in_process(make_spec_of("sine_fd2", "fasmc_predictive", 4.0), check=False)).max_error_n < 25.0
+
+
 def test_companions_that_know_one_pressure_are_refused_beside_a_single_rod(make_spec_of):
     def beside(law, companion):
         check_spec(make_spec_of("constant_fd1", law, 1.0, companions=[companion]), "spec")
