@@ -133,7 +133,8 @@ def print_speed(rounds: int) -> None:
     steps = cycles * period / step
     for name, times in taken.items():
         print(f"{name}: {quartiles(1e9 * times / steps, '.0f')} ns per step")
-    print(f"single over double: {quartiles(taken['single rod'] / taken['double rod'], '.2f')}")
+    single, double = taken["single rod"], taken["double rod"]
+    print(f"single over double: {quartiles(single / double, '.2f')}, fastest rounds {single.min() / double.min():.2f}")
 
 
 def main() -> None:

@@ -3,7 +3,8 @@
 A law has the equations of the paper, with one pressure and one flow. The double rod given to it has the same stiffness of the
 oil at the present position, and the same rate of the force per opening at the present pressures, both from the volume balances
 of both chambers. It lacks the constant force that unequal areas add: readings and reference are without it, and the weight has
-it. So every law works on both cylinders, with the same tuning rule: its defaults are those for the double rod at position 0.
+it. So every law works on both cylinders, with the same tuning rule: its numbers are those for the double rod at position 0. A
+disturbance changes the force in proportion to the stiffness of the oil, so a law is told how stiff it is beside that position.
 """
 
 import math
@@ -14,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array, in_python, kernel
-from ehls_ros.control.controllers.base import MIN_DROP, ROW, Model
+from ehls_ros.control.controllers.base import MIN_DROP, ROW, Model, saturate
 from ehls_ros.control.rig_scale import largest_speed
 from ehls_ros.physics import sensors
+from ehls_ros.physics.cylinder.base import Equivalent
 from ehls_ros.physics.lane_memory import stack
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.rig import SENSED, CylinderUse, Rig, ValveUse
@@ -47,8 +49,8 @@ def double_rod_of(rig: Rig) -> DoubleRod:
     middle[sensors.LOAD_PRESSURE] = 0.5 * (area_a - area_b) * (supply + tank) / rig.plant.piston_area
     middle[sensors.SUPPLY_PRESSURE] = supply
     equivalent = in_python(cylinder.law.equivalent(plain))
-    plant, _, offset = equivalent(middle, 0.0, MIN_DROP, rig.plant, cylinder.parameters, valve.parameters)
-    return DoubleRod(rig._replace(plant=plant, cylinder=CylinderUse(), valve=ValveUse()), offset)
+    alike = equivalent(middle, 0.0, MIN_DROP, rig.plant, cylinder.parameters, valve.parameters)
+    return DoubleRod(rig._replace(plant=alike.plant, cylinder=CylinderUse(), valve=ValveUse()), alike.offset)
 
 
 def speed_of(rig: Rig) -> float:
@@ -122,8 +124,9 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
     def answer(
         spool: float,
         plant: Plant,
-        supply: float,
-        offset: float,
+        rod: Equivalent,
+        gain_positive: float,
+        gain_negative: float,
         m: Array,
         r: Array,
         f: Array,
@@ -132,18 +135,21 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         own: Array,
         status: Array,
     ) -> float:
-        """Return the command of the law for a double rod, with a spool displacement [m]."""
+        """Return the command of the law for a double rod with these coefficients, and a spool displacement [m].
+
+        Both gains are those of :class:`~ehls_ros.control.controllers.base.Model`.
+        """
         seen, wanted = readings(), row()
         for i in range(signals):
             seen[i] = m[i]
         for i in range(ROW):
             wanted[i] = r[i]
         seen[sensors.SPOOL] = spool
-        seen[sensors.LOAD_PRESSURE] -= offset / plant.piston_area
-        seen[sensors.FORCE] -= offset
-        seen[sensors.SUPPLY_PRESSURE] = supply
+        seen[sensors.LOAD_PRESSURE] -= rod.offset / plant.piston_area
+        seen[sensors.FORCE] -= rod.offset
+        seen[sensors.SUPPLY_PRESSURE] = rod.supply_pressure
         if follows_force:
-            wanted[0] -= offset
+            wanted[0] -= rod.offset
         local = Model(
             plant,
             model.friction,
@@ -155,6 +161,9 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
             model.coupling_damping,
             model.cylinder,
             model.valve,
+            rod.stiffness,
+            gain_positive,
+            gain_negative,
         )
         return step(seen, wanted, f, p, local, own, status)
 
@@ -165,25 +174,30 @@ def step_on(law: Any, cylinder: Any, valve: Any) -> Callable[..., float]:
         for i in range(size):
             before[i] = own[i]
         side = -1.0 if spool < 0.0 else 1.0
-        plant, supply, offset = equivalent(m, side, MIN_DROP, model.plant, model.cylinder, model.valve)
-        command = answer(spool, plant, supply, offset, m, r, f, p, model, own, status)
-        followed = min(model.period * model.plant.valve_bandwidth, 1.0)
-        ahead = spool + followed * (model.plant.valve_gain * command - spool)
-        if inverts and ahead * side < 0.0:
+        near = equivalent(m, side, MIN_DROP, model.plant, model.cylinder, model.valve)
+        beyond = equivalent(m, -side, MIN_DROP, model.plant, model.cylinder, model.valve)
+        other = beyond.plant.discharge_coefficient / near.plant.discharge_coefficient
+        positive, negative = (1.0, other) if side > 0.0 else (other, 1.0)
+        command = answer(spool, near.plant, near, positive, negative, m, r, f, p, model, own, status)
+        valve_gain, followed = model.plant.valve_gain, -math.expm1(-model.period * model.plant.valve_bandwidth)
+        if inverts and (spool + followed * (valve_gain * command - spool)) * side < 0.0:
             # The spool passes null, beyond which an opening has another gain. The law is given the opening on the other side
-            # with the present flow, from which the spool moves to where it has to be.
-            other, supply_beyond, _ = equivalent(m, -side, MIN_DROP, model.plant, model.cylinder, model.valve)
-            pressure = m[sensors.LOAD_PRESSURE] - offset / plant.piston_area
-            beyond = gain(other, supply_beyond, pressure, -side)
-            moved = spool * gain(plant, supply, pressure, side) / beyond
+            # with the present flow.
+            pressure = m[sensors.LOAD_PRESSURE] - near.offset / near.plant.piston_area
+            opened = gain(beyond.plant, beyond.supply_pressure, pressure, -side)
+            moved = spool * gain(near.plant, near.supply_pressure, pressure, side) / opened
             # By the sign of the opening, the law would take the pressure drop of this side.
-            seen_as = beyond / gain(other, supply_beyond, pressure, side)
+            seen_as = opened / gain(beyond.plant, beyond.supply_pressure, pressure, side)
             for i in range(size):
                 own[i] = before[i]
-            scaled = with_discharge(other, seen_as * other.discharge_coefficient)
-            command = answer(moved, scaled, supply_beyond, offset, m, r, f, p, model, own, status)
-            command += (moved - spool) * (1.0 / followed - 1.0) / model.plant.valve_gain
-            command = min(max(command, -model.spool_limit), model.spool_limit)
+            scaled = with_discharge(beyond.plant, seen_as * beyond.plant.discharge_coefficient)
+            command = answer(moved, scaled, beyond, 1.0, 1.0, m, r, f, p, model, own, status)
+            end = side * min(side * (moved + followed * (valve_gain * command - moved)), 0.0)
+            # The mean flow of the cycle is to be that of the openings moved and end. A spool that moves steadily to x has it if
+            # x^2 - (moved + end) x + spool end = 0; at end, it would have been on this side of null for too long or too short.
+            mean = 0.5 * (moved + end)
+            reached = mean - side * math.sqrt(mean * mean - spool * end)
+            command = saturate((spool + (reached - spool) / followed) / valve_gain, model.spool_limit)
         return command
 
     return local_step

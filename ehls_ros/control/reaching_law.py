@@ -30,6 +30,7 @@ from ehls_ros.control.state_estimator import (
     observe,
     rates,
     send,
+    side_gain,
     state_of,
     supply_of,
 )
@@ -39,6 +40,9 @@ from ehls_ros.schema import quantity
 
 TRIALS = 2
 """Number of trial commands with predicted outcome."""
+
+KINK_TRIALS = 8
+"""That number if the flow per opening jumps at null: a secant across null finds too small a command."""
 
 STEEPEST = 3.0
 """Largest ratio, either way, of the slope of s over the command to that by the valve's flow alone."""
@@ -104,13 +108,13 @@ def command_for(r: Array, supply: float, surface: Surface, model: Model, p: Assu
     target = s / (1.0 + surface.reaching_rate * period)
     side = 1.0 if state.foreseen[XV] >= 0.0 else -1.0
     drop = max(supply - side * state.foreseen[PL], MIN_DROP * plant.supply_pressure)
-    discharge = plant.discharge_coefficient * (1.0 + state.foreseen[DISCHARGE])
+    discharge = side_gain(side, model) * plant.discharge_coefficient * (1.0 + state.foreseen[DISCHARGE])
     flow_gain = discharge * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
     opened = plant.valve_gain * (1.0 + state.foreseen[VALVE_GAIN]) * -math.expm1(-plant.valve_bandwidth * period)
     usual = surface.xi * 4.0 * plant.bulk_modulus / plant.total_volume * flow_gain * opened * 1e-6
     slope, tried, outcome = usual, 0.0, 0.0
     wanted = state.commands[0]
-    for trial in range(TRIALS):
+    for trial in range(TRIALS if model.gain_positive == model.gain_negative else KINK_TRIALS):
         if trial > 0:
             foresee(supply, model, p, state)
         command = saturate(wanted, model.spool_limit)

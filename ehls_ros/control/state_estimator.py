@@ -241,6 +241,12 @@ def elements(friction: Friction) -> int:
 
 
 @kernel
+def side_gain(side: float, model: Model) -> float:
+    """Return the flow per opening with a sign, over that with the coefficients of the model's plant."""
+    return model.gain_positive if side > 0.0 else model.gain_negative
+
+
+@kernel
 def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p: Assumptions, rate: Array) -> None:
     """Write the derivative of a mean.
 
@@ -266,7 +272,7 @@ def rates(y: Array, mode: Array, command: float, supply: float, model: Model, p:
     coupled = coupling_force(y, p)
     held = p.actuator_stiffness * y[YIELD] + (plant.viscous_damping + friction.viscous_coefficient) * y[YIELD_RATE]
     side = 1.0 if y[XV] >= 0.0 else -1.0
-    flow = (1.0 + y[DISCHARGE]) * load_flow(y[XV], side, y[PL], supply, plant)
+    flow = side_gain(side, model) * (1.0 + y[DISCHARGE]) * load_flow(y[XV], side, y[PL], supply, plant)
     rate[X] = y[V]
     rate[V] = (applied_force(y[X], y[V], y[PL], y[EXTERNAL], -coupled, plant) - resisting) / plant.moving_mass
     rate[PL] = load_pressure_rate(flow, y[V], y[PL], 0.0, plant.bulk_modulus, plant) + y[FLOW_ERROR]
@@ -353,7 +359,8 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     side = 1.0 if y[XV] >= 0.0 else -1.0
     drop = supply - side * y[PL]
     size = max(abs(drop), MIN_DROP * plant.supply_pressure)
-    nominal_gain = plant.discharge_coefficient * plant.valve_area_gradient * math.sqrt(size / plant.oil_density)
+    discharge = side_gain(side, model) * plant.discharge_coefficient
+    nominal_gain = discharge * plant.valve_area_gradient * math.sqrt(size / plant.oil_density)
     # Beyond the supply pressure the flow reverses, and with it the effect of opening and discharge coefficient.
     passed = math.copysign(nominal_gain, drop)
     jacobian[:] = 0.0

@@ -192,6 +192,9 @@ def build_law(
             b[after + 2],
             cylinder_of(b, at.cylinder),
             valve_of(b, at.valve),
+            1.0,
+            1.0,
+            1.0,
         )
         estimate, tuning = estimate_of(b, seen.estimate), tuning_of(b, at.tuning)
         b[at.command] = answer(measured, row, estimate, tuning, model, memory_of(b, at.memory), status)

@@ -30,7 +30,7 @@ from ehls_ros.report.run_signals import (
     since_start,
     sliding_bound,
 )
-from ehls_ros.trajectory import MEASURED, READABLE, Trajectory
+from ehls_ros.trajectory import MEASURED, OF_CHAMBERS, READABLE, Trajectory
 
 RASTER_COLUMNS = 1500
 
@@ -151,11 +151,13 @@ def valve(run: Trajectory) -> Panel | LeftOut:
 
 
 def load_pressure(run: Trajectory) -> Panel | LeftOut:
-    """Draw the load pressure between plus and minus the supply pressure."""
+    """Draw the load pressure between plus and minus the supply pressure, and the pressures of both chambers if measured."""
     if missing := missing_reason(run, "load_pressure_pa"):
         return LeftOut("Load pressure", missing)
     figure = _Figure(run, "Load pressure", Axis("pressure", MEGAPASCAL))
     figure.signal("load_pressure_pa", "load pressure", plot.BLUE)
+    for signal, chamber, color in zip(OF_CHAMBERS, "AB", (plot.GREEN, plot.ORANGE), strict=True):
+        figure.signal(signal, f"pressure in {chamber}", color)
     if known(run, "supply_pressure_pa"):
         supply, name = run["supply_pressure_pa"], "supply pressure"
     else:

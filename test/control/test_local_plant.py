@@ -66,7 +66,7 @@ def test_equal_areas_are_the_double_rod_of_the_same_volume(spool, pressure):
     chambers = {"pressure_a": 0.5 * (7e6 + pressure), "pressure_b": 0.5 * (7e6 - pressure)}
     for known in ({}, chambers):
         m = readings(load_pressure=pressure, spool=spool, supply=7e6, **known)
-        plant, supply, offset = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
+        plant, supply, offset, _ = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
         assert (supply, offset) == (7e6, 0.0)
         np.testing.assert_allclose(plant, rig.plant, rtol=1e-12)
 
@@ -80,7 +80,7 @@ def test_force_changes_at_the_rate_of_both_chambers(spool, a, b):
     x, velocity, supply = 0.05, 0.1, 6.8e6
     mean = (p.area_a * a - p.area_b * b) / rig.plant.piston_area
     m = readings(position=x, load_pressure=mean, spool=spool, supply=supply, pressure_a=a, pressure_b=b)
-    plant, of_law, offset = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, p, v)
+    plant, of_law, offset, _ = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, p, v)
     side = math.copysign(1.0, spool)
     flow = plant.discharge_coefficient * plant.valve_area_gradient * spool
     flow *= math.sqrt((of_law - side * (mean - offset / plant.piston_area)) / plant.oil_density)
@@ -102,7 +102,7 @@ def test_pressures_without_sensors_are_those_of_steady_motion():
     p, v = rig.cylinder.parameters, rig.valve.parameters
     a, b, spool, force = p.area_a, p.area_b, 1e-4, 3e3
     m = readings(load_pressure=force / rig.plant.piston_area, spool=spool, supply=7e6)
-    plant, supply, offset = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, p, v)
+    plant, supply, offset, _ = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, p, v)
     root = math.sqrt((supply - (force - offset) / plant.piston_area) / plant.oil_density)
     speed = plant.discharge_coefficient * plant.valve_area_gradient * spool * root / plant.piston_area
     gain = rig.plant.discharge_coefficient * rig.plant.valve_area_gradient * spool * math.sqrt(2.0 / rig.plant.oil_density)
@@ -112,8 +112,23 @@ def test_pressures_without_sensors_are_those_of_steady_motion():
 def test_readings_that_are_unknown_leave_a_plant_of_finite_numbers():
     rig = rig_of(*RATIO_OF_TWO)
     m = np.full(len(SENSED), np.nan)
-    plant, supply, _ = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
+    plant, supply, *_ = EQUIVALENT(m, m[SPOOL], LEAST, rig.plant, rig.cylinder.parameters, rig.valve.parameters)
     assert np.all(np.isfinite([*plant, supply]))
+
+
+def test_stiffness_is_relative_to_position_0():
+    rig = rig_of(*RATIO_OF_TWO)
+    p = rig.cylinder.parameters
+
+    def stiffness(x):
+        m = readings(position=x, supply=7e6)
+        return EQUIVALENT(m, 1e-4, LEAST, rig.plant, p, rig.valve.parameters).stiffness
+
+    columns = [
+        area * area / (at_zero + area * x) for area, at_zero, x in ((p.area_a, p.volume_a, -0.2), (p.area_b, p.volume_b, 0.2))
+    ]
+    assert stiffness(0.0) == 1.0
+    assert stiffness(-0.2) == pytest.approx(sum(columns) / (p.area_a**2 / p.volume_a + p.area_b**2 / p.volume_b))
 
 
 def test_the_rig_with_a_double_rod_is_as_stiff():
@@ -144,13 +159,13 @@ def make_spec_of():
     return make
 
 
-@pytest.mark.parametrize(("name", "factor"), [("constant_fd1", 1.3), ("constant_fd2", 1.3)])
-def test_fasmc_holds_the_force_of_a_single_rod_as_closely_as_that_of_a_double_rod(name, factor, make_spec_of):
+@pytest.mark.parametrize("name", ["constant_fd1", "constant_fd2", "sine_fd2", "triangle_fd2"])
+def test_fasmc_holds_the_force_of_a_single_rod_as_closely_as_that_of_a_double_rod(name, make_spec_of):
     path = configured(name, "experiments")
     double = load_spec(path)
     double = double._replace(settings=double.settings._replace(duration=4.0))
     errors = [evaluate(run_in_process(spec, check=False)).max_error_n for spec in (double, make_spec_of(name, "fasmc", 4.0))]
-    assert errors[1] < factor * errors[0]
+    assert errors[1] < 1.1 * errors[0]
 
 
 def test_fasmc_passes_null_where_the_gain_of_the_next_edges_is_another(make_spec_of):
@@ -168,6 +183,12 @@ def test_fasmc_passes_null_where_the_gain_of_the_next_edges_is_another(make_spec
 def test_every_law_controls_the_force_of_a_single_rod(law, make_spec_of):
     spec = make_spec_of("constant_fd1", law, 4.0)
     assert evaluate(run_in_process(spec)).max_error_n < 150.0
+
+
+@pytest.mark.long
+def test_the_predictive_law_passes_null_where_the_gain_of_the_next_edges_is_another(make_spec_of):
+    # While its filter had one gain for both sides, and its search two trials, it lost the force at this turn.
+    assert evaluate(run_in_process(make_spec_of("sine_fd2", "fasmc_predictive", 4.0), check=False)).max_error_n < 25.0
 
 
 def test_companions_that_know_one_pressure_are_refused_beside_a_single_rod(make_spec_of):

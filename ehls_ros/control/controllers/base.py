@@ -126,6 +126,8 @@ class Model(NamedTuple):
         coupling_stiffness, coupling_damping: those of the coupling to the actuator under test [N/m, N s/m].
         cylinder, valve: parameters of cylinder and valve; () if they have none. Where a cylinder has chambers, a law is given
             the ``plant`` of :mod:`ehls_ros.control.local_plant`.
+        stiffness: stiffness of the oil at the present position, over that at position 0, for which a law is tuned [1].
+        gain_positive, gain_negative: flow per positive and negative opening, over that with the coefficients of ``plant`` [1].
     """
 
     plant: Plant
@@ -138,6 +140,9 @@ class Model(NamedTuple):
     coupling_damping: float = 0.0
     cylinder: Any = ()
     valve: Any = ()
+    stiffness: float = 1.0
+    gain_positive: float = 1.0
+    gain_negative: float = 1.0
 
 
 class ControllerLaw(Protocol):

@@ -208,9 +208,10 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
         memory[CORRECTION], memory[STARTED] = 0.0, 0.0
     error = (m[sensors.FORCE] - r[0]) / area  # (26), with the force as the load cell has it
     error_rate = x3_rate - x3d_rate
+    k = p.k * model.stiffness  # a change of the load moves s in proportion to the stiffness
     logistic = 1.0 / (1.0 + exp(-p.g * error))
-    surface = p.k * logistic - 0.5 * p.k
-    surface_slope = p.k * p.g * logistic * (1.0 - logistic)
+    surface = k * logistic - 0.5 * k
+    surface_slope = k * p.g * logistic * (1.0 - logistic)
     s = p.xi * error_rate + surface  # (27)
 
     elements, viscous = f[ELEMENTS_FORCE], f[VISCOUS_FORCE]
@@ -253,7 +254,7 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     status[base.U2] = u2
     status[base.U3] = u3
     status[base.FORCE_ERROR] = m[sensors.FORCE] - r[0]
-    status[base.FORCE_BOUND] = pressure_error_bound_kernel(p.k, p.g, p.h, p.b) * area
+    status[base.FORCE_BOUND] = pressure_error_bound_kernel(k, p.g, p.h, p.b) * area
     status[base.SATURATED] = 1.0 if wanted != command else 0.0
     return command
 

@@ -137,4 +137,4 @@ def assumptions(state: State, activity: Array, p: Parameters, model: Model) -> A
 def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Array, status: Array) -> float:
     """Return the spool command [m]."""
     taken = assumptions(state_of(memory), memory[state_estimator.MEMORY_SIZE :], p, model)
-    return answer(m, r, Surface(p.k, p.g, p.xi, p.reaching_rate), model, taken, memory, status)
+    return answer(m, r, Surface(p.k * model.stiffness, p.g, p.xi, p.reaching_rate), model, taken, memory, status)

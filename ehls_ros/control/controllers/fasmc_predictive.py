@@ -175,5 +175,5 @@ def step(m: Array, r: Array, f: Array, p: Parameters, model: Model, memory: Arra
     """Return the spool command [m]."""
     taken = assumptions(state_of(memory), memory[state_estimator.MEMORY_SIZE :], p, model)
     active = taken.external_noise**2 / (taken.external_noise**2 + p.calm_noise**2)
-    surface = Surface(p.k, p.calm_g + active * (p.g - p.calm_g), p.xi, p.reaching_rate)
+    surface = Surface(p.k * model.stiffness, p.calm_g + active * (p.g - p.calm_g), p.xi, p.reaching_rate)
     return answer(m, r, surface, model, taken, memory, status)

@@ -21,10 +21,10 @@ These functions are called from Python before a run:
 * ``at_rest(p, plant)`` returns the states of a rig at rest without driving force;
 * ``forces(p, plant)`` returns the lowest and the highest driving force that the supply can hold [N];
 * ``oil_rates(rig, flow)`` returns the largest natural rates of the oil, see :class:`OilRates`;
-* ``equivalent(valve)``, only with ``CHAMBERS``, returns a compiled ``equivalent(m, spool, least, plant, p, v)``: coefficients
-  of the double rod with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be
-  left out) on the side of null of ``spool``, its supply pressure [Pa], and the constant force by which its driving force is
-  smaller [N]; pressure drops are at least ``least`` of the supply pressure, and ``v`` are the parameters of the valve;
+* ``equivalent(valve)``, only with ``CHAMBERS``, returns a compiled ``equivalent(m, spool, least, plant, p, v)``: the
+  :class:`Equivalent` with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be
+  left out) on the side of null of ``spool``; pressure drops are at least ``least`` of the supply pressure, and ``v`` are the
+  parameters of the valve;
 * ``terms(valve, chains)``, only with ``CHAMBERS``, returns the compiled terms of the chambers' balances, see
   :class:`ehls_ros.physics.cylinder.two_chamber.Terms`;
 * ``build(valve, chains, first)`` returns the compiled functions of the oil, see :class:`~ehls_ros.physics.plant.Oil`;
@@ -32,6 +32,8 @@ These functions are called from Python before a run:
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from ehls_ros.physics.parameters import Plant
 
 if TYPE_CHECKING:
     from ehls_ros.physics.plant import Chains, Oil
@@ -52,6 +54,22 @@ class OilRates(NamedTuple):
     leakage: float
     orifice: float
     keys: tuple[str, ...]
+
+
+class Equivalent(NamedTuple):
+    """Double rod that stands for a cylinder of two chambers.
+
+    Attributes:
+        plant: its coefficients.
+        supply_pressure: its supply pressure [Pa].
+        offset: constant force by which its driving force is smaller [N].
+        stiffness: stiffness of the oil at the present position, over that at position 0 [1].
+    """
+
+    plant: Plant
+    supply_pressure: float
+    offset: float
+    stiffness: float
 
 
 class Cylinder(Protocol):

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.errors import BadInput
 from ehls_ros.physics import sensors
-from ehls_ros.physics.cylinder.base import OilRates
+from ehls_ros.physics.cylinder.base import Equivalent, OilRates
 from ehls_ros.physics.equations import ATMOSPHERE, air_compliance
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, Chains, Coefficients, Oil, V, X, relations
@@ -187,7 +187,15 @@ def pressure_rate(
     return inflow * stored / soft
 
 
-def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:
+@kernel
+def _compressions(x: float, modulus: float, p: Parameters) -> tuple[float, float]:
+    """Return the pressure changes of A and B per motion of the piston with the valve shut, over the modulus [1/m]."""
+    soft_a = volume_of(p.volume_a, p.area_a, x) + modulus * p.hose_compliance_a
+    soft_b = volume_of(p.volume_b, -p.area_b, x) + modulus * p.hose_compliance_b
+    return p.area_a / soft_a, p.area_b / soft_b
+
+
+def equivalent(valve: Any) -> Callable[..., Equivalent]:
     """Build the double rod that the cylinder is at the present readings.
 
     For edges of one gain, or of gains in the ratio of the areas, a single rod moves steadily as a double rod of the mean area
@@ -197,7 +205,7 @@ def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:
     gains, drop_ratio = valve.gains, valve.drop_ratio
 
     @kernel
-    def local(m: Array, spool: float, least: float, plant: Plant, p: Parameters, v: Any) -> tuple[Plant, float, float]:
+    def local(m: Array, spool: float, least: float, plant: Plant, p: Parameters, v: Any) -> Equivalent:
         x = m[sensors.POSITION] if math.isfinite(m[sensors.POSITION]) else 0.0
         mean = m[sensors.LOAD_PRESSURE] if math.isfinite(m[sensors.LOAD_PRESSURE]) else 0.0
         supply = m[sensors.SUPPLY_PRESSURE] if math.isfinite(m[sensors.SUPPLY_PRESSURE]) else plant.supply_pressure
@@ -216,10 +224,9 @@ def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:
             drop_a = max(side * (port_a - m[sensors.PRESSURE_A]), floor)
             drop_b = max(side * (m[sensors.PRESSURE_B] - port_b), floor)
         flow_a, flow_b = gains(side, drop_a, drop_b, v, plant)
-        soft_a = volume_of(p.volume_a, p.area_a, x) + modulus * p.hose_compliance_a
-        soft_b = volume_of(p.volume_b, -p.area_b, x) + modulus * p.hose_compliance_b
-        part_a, part_b = p.area_a / soft_a, p.area_b / soft_b
+        part_a, part_b = _compressions(x, modulus, p)
         stiffness = p.area_a * part_a + p.area_b * part_b
+        middle_a, middle_b = _compressions(0.0, modulus, p)
         # QL per opening that raises the force of the double rod as fast, and Cd of (1) for it.
         flow = area * (part_a * flow_a - part_b * flow_b) / stiffness
         discharge = flow * math.sqrt(plant.oil_density / drop) / plant.valve_area_gradient
@@ -240,7 +247,12 @@ def equivalent(valve: Any) -> Callable[..., tuple[Plant, float, float]]:
             plant.valve_gain,
             plant.gravity - offset / plant.moving_mass,
         )
-        return local_plant, (largest - side * offset) / area, offset
+        return Equivalent(
+            local_plant,
+            (largest - side * offset) / area,
+            offset,
+            stiffness / (p.area_a * middle_a + p.area_b * middle_b),
+        )
 
     return local
 

@@ -74,10 +74,13 @@ def edge_flow(gain: float, u: float, rounding: float, drop: float, transition: f
         drop: pressure drop [Pa].
         transition: pressure drop below which the flow is laminar [Pa].
     """
-    if rounding <= 0.0 and u <= 0.0:
+    if rounding > 0.0:
+        area = 0.5 * (u + math.sqrt(u * u + rounding * rounding))
+    elif u > 0.0:
+        area = u
+    else:
         # A sharp edge is closed: spares the roots of half the edges. The product is a dual where the drop is one.
         return 0.0 * drop
-    area = 0.5 * (u + math.sqrt(u * u + rounding * rounding)) if rounding > 0.0 else u
     return gain * area * drop / math.sqrt(math.sqrt(drop * drop + transition * transition))
 
 
