@@ -37,7 +37,7 @@ def show(console: Console) -> None:
     seconds = DURATION - LEARNT
     console.print(f"{seconds / wall:.0f} × real time; {100 * used / seconds:.1f} % of a core at the rig's own pace")
     parts, count = _parts(recording)
-    table = Table(title=f"a block of {rules.MONITOR_BLOCK:g} s, {count} directions, median", title_justify="left")
+    table = Table(title=f"a block of {rules.BLOCK:g} s, {count} directions, median", title_justify="left")
     table.add_column("part")
     table.add_column("ms")
     for name, took in parts.items():
@@ -51,8 +51,8 @@ def _parts(recording: Trajectory) -> tuple[dict[str, list[float]], int]:
     followed = directions(gather(first, rig(), setup(first, rig()), 0))
     test: ChangeTest | None = None
     out: dict[str, list[float]] = defaultdict(list)
-    begins = (rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)).tolist()
-    length = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
+    begins = (rules.MONITOR_LEAD + rules.BLOCK * np.arange(rules.MONITOR_AT_ONCE)).tolist()
+    length = rules.MONITOR_AT_ONCE * rules.BLOCK
     for begin in np.arange(LEARNT, DURATION - length, length):
         own = part(recording, begin - rules.MONITOR_LEAD, begin + length)
         times = [time.perf_counter()]

@@ -174,7 +174,7 @@ def show(healthy: Sequence[Row], hidden: Sequence[Row], console: Console) -> Non
     if drift is None:
         console.print(MISSING)
     streams = [standardised(row["powers"]) for row in healthy if row.get("powers")]
-    hours = sum(len(values) for values in streams) * rules.MONITOR_BLOCK / 3600.0
+    hours = sum(len(values) for values in streams) * rules.BLOCK / 3600.0
     cases = [row for row in hidden if "error" not in row and row.get("powers") and judge(row).counts]
     title = f"{len(cases)} effects that begin while the rig runs, and {hours:.1f} h of healthy rigs"
     table = Table(title=title, title_justify="left")
@@ -200,7 +200,7 @@ def show(healthy: Sequence[Row], hidden: Sequence[Row], console: Console) -> Non
 def _first(row: Row, peer: Peer, setting: float) -> tuple[float, int] | None:
     """Return delay [s] and channel of the first alarm after the onset."""
     for block, channel in alarms_of(standardised(row["powers"]), peer, setting):
-        end = rules.MONITOR_LEAD + (LEARNT + block + 1) * rules.MONITOR_BLOCK
+        end = rules.MONITOR_LEAD + (LEARNT + block + 1) * rules.BLOCK
         if end > row["onset"]:
             return end - row["onset"], channel
     return None

@@ -91,7 +91,7 @@ def feed(monitor: Monitor, recording: Trajectory, largest: list[float] | None = 
 
 def powers(recording: Trajectory, rig: Rig) -> list[list[float]]:
     """Return the logarithm of the mean square of each channel's whitened residual in each block; NaN if there is none."""
-    time_s, lead, block = recording.time_s, rules.MONITOR_LEAD, rules.MONITOR_BLOCK
+    time_s, lead, block = recording.time_s, rules.MONITOR_LEAD, rules.BLOCK
     out = list[list[float]]()
     for begin in np.arange(time_s[0] + lead, time_s[-1] - block, block):
         first, last = np.searchsorted(time_s, [begin - lead, begin + block])

@@ -147,7 +147,7 @@ MIN_NOISE_POWER = 0.8
 """Least mean square ascribed to noise in a whitened residual; the floor holds a tolerance too."""
 
 BLOCK = 2.5
-"""Length of the blocks that cross-validation leaves out [s]."""
+"""Length of the blocks that cross-validation leaves out, and over which the monitor sums [s]."""
 
 MIN_BLOCKS = 6
 """Fewest blocks of a recording."""
@@ -406,12 +406,6 @@ MENTIONED_UNSEEN = 0.1
 """Fraction of samples that are not covered above which a remark is made."""
 
 # --- monitor -----------------------------------------------------------------------------------
-
-MONITOR_BLOCK = 2.5
-"""Length of a block, over which the monitor sums [s].
-
-Origin: BLOCK.
-"""
 
 MONITOR_AT_ONCE = 3
 """Blocks that are compared with the model at once, which saves work."""

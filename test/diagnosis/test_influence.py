@@ -21,7 +21,7 @@ def test_chosen_numbers_are_those_a_diagnosis_uses():
     names = [number.name for number in chosen()]
     assert "NEEDED_GAIN" in names
     assert "MAX_ITERATIONS" in names
-    assert not {"MONITOR_BLOCK", "FREE_RUN", "MAX_SQUARE", "EDGE"} & set(names)
+    assert not {"MONITOR_LEAD", "FREE_RUN", "MAX_SQUARE", "EDGE"} & set(names)
 
 
 def test_slopes_are_those_of_the_answers_within_their_errors():

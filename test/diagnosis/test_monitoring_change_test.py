@@ -32,7 +32,7 @@ def test_false_alarms_are_rarer_than_the_rate_that_was_set():
     rng, hours = np.random.default_rng(1), 0.1
     test = ChangeTest(healthy(), hours)
     alarms = 0
-    for _ in range(round(30 * hours * HOUR / rules.MONITOR_BLOCK)):
+    for _ in range(round(30 * hours * HOUR / rules.BLOCK)):
         feed(test, noise(rng))
         if test.change() is not None:
             alarms += 1

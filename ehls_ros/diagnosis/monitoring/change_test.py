@@ -198,7 +198,7 @@ class ChangeTest:
     def learn(self, healthy: BlockStatistics) -> None:
         """Replace the statistics of the healthy rig and update the bound."""
         self.healthy = healthy
-        tests = self._hours * HOUR / rules.MONITOR_BLOCK * len(healthy.level) * len(lengths())
+        tests = self._hours * HOUR / rules.BLOCK * len(healthy.level) * len(lengths())
         self.bound = float(-scipy.special.stdtrit(healthy.freedom, 0.5 / tests))
         self._varying = -scipy.special.stdtrit(np.maximum(healthy.varied - 1, 1), 0.5 / tests) * healthy.variation
         self._rows[3:, self._first : self._end] = self._terms(self.rows())

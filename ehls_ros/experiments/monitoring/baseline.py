@@ -142,12 +142,12 @@ class Baseline:
 
     def scores(self, evidence: Evidence) -> list[Scores]:
         """Return the score of each block, of blocks that follow their lead."""
-        begins = rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)
+        begins = rules.MONITOR_LEAD + rules.BLOCK * np.arange(rules.MONITOR_AT_ONCE)
         return scores(evidence, self.directions, tuple(self._numbers.values()), begins.tolist())
 
     def tracked_scores(self, evidence: Evidence) -> list[Scores]:
         """Return the score of each block in the directions of the coefficients alone."""
-        begins = rules.MONITOR_LEAD + rules.MONITOR_BLOCK * np.arange(rules.MONITOR_AT_ONCE)
+        begins = rules.MONITOR_LEAD + rules.BLOCK * np.arange(rules.MONITOR_AT_ONCE)
         own = [self.directions[number] for number in self._numbers.values()]
         return scores(evidence, own, range(len(own)), begins.tolist())
 

@@ -44,7 +44,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 from ehls_ros.trajectory import Trajectory
 
-COMPARED_TIME = rules.MONITOR_AT_ONCE * rules.MONITOR_BLOCK
+COMPARED_TIME = rules.MONITOR_AT_ONCE * rules.BLOCK
 """Duration of samples compared with the model at once [s]."""
 
 MAX_GAP = 0.05
@@ -156,7 +156,7 @@ class Monitor:
         self._reason = ""
         self._outside = deque[bool](maxlen=24)
         self._readings: tuple[Reading, ...] = ()
-        self._averaged = max(1, round(parameters.reading_time / rules.MONITOR_BLOCK))
+        self._averaged = max(1, round(parameters.reading_time / rules.BLOCK))
         self._unrecorded = 0
         self._examined_from: float | None = None
         self._onset = (math.nan, math.nan, math.nan)
@@ -268,11 +268,11 @@ class Monitor:
             around = self._compare(samples, self._linearisation.rig.rig)
             self._linearisation.recent.extend([] if around is None else self._baseline.tracked_scores(around))
         for number, block in enumerate(found):
-            self._test(begin + number * rules.MONITOR_BLOCK, block, events)
+            self._test(begin + number * rules.BLOCK, block, events)
 
     def _test(self, begin: float, found: Scores, events: list[Event]) -> None:
         """Test for a change with one more block."""
-        mode, end = self.mode, begin + rules.MONITOR_BLOCK
+        mode, end = self.mode, begin + rules.BLOCK
         if isinstance(mode, modes.Learning | modes.Comparing):
             return
         blocks = mode.blocks
