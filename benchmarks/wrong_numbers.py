@@ -3,9 +3,10 @@
     python -m benchmarks.wrong_numbers
 
 A sine of 10 kN at 0.5 Hz against the position servo, with sensors and a delay of one cycle. Each row has one wrong number or
-lacks some; the error is that of the true force, the largest of the last half.
+lacks some; the error is that of the true force, the largest of the last half: median and worst over seeds of the noise.
 """
 
+import statistics
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -18,6 +19,9 @@ from ehls_ros.physics.rig import rig_to_mapping
 
 LAWS = ("fasmc_predictive", "fasmc_output_feedback")
 LOW, HIGH = 0.8, 1.2
+
+SEEDS = 5
+"""Number of seeds: where the piston breaks away, the largest error of one run in several is twice the usual."""
 
 
 class Case(NamedTuple):
@@ -67,16 +71,23 @@ def experiment(law: str, case: Case, duration: float) -> Spec:
     return spec_from_mapping(content, "wrong numbers", configured("rig_paper").parent)
 
 
+def cell(spec: Spec) -> str:
+    """Return median and worst of the largest errors over the seeds."""
+    seeded = (spec._replace(settings=spec.settings._replace(seed=seed)) for seed in range(SEEDS))
+    errors = [stepped_run(each).largest() for each in seeded]
+    return f"{statistics.median(errors):.4g} ({max(errors):.3g})"
+
+
 def main() -> None:
     """Print the table."""
     parser = parser_of(__doc__)
     parser.add_argument("--duration", type=float, default=10.0, help="of each run, s (%(default)s)")
     duration = parser.parse_args().duration
-    print(f"{'largest error in N':26}" + "".join(f"{law:>24}{'no adaptation':>16}" for law in LAWS))
+    print(f"{'largest error in N':26}" + "".join(f"{law:>26}{'no adaptation':>22}" for law in LAWS))
     for name, case in CASES.items():
         specs = [experiment(law, case, duration) for law in LAWS]
-        cells = [(stepped_run(for_real_rig(spec).spec).largest(), stepped_run(spec).largest()) for spec in specs]
-        print(f"{name:26}" + "".join(f"{real:24.4g}{plain:16.4g}" for real, plain in cells), flush=True)
+        cells = [(cell(for_real_rig(spec).spec), cell(spec)) for spec in specs]
+        print(f"{name:26}" + "".join(f"{real:>26}{plain:>22}" for real, plain in cells), flush=True)
 
 
 if __name__ == "__main__":

@@ -66,7 +66,10 @@ def direct(compiled: _Function, *arguments: Any) -> _Function:
     if not isinstance(compiled, Dispatcher):
         return compiled
     type_of: Callable[[Any], Any] = numba.typeof
-    return cast(_Function, compiled.compile(tuple(type_of(argument) for argument in arguments)))
+    types = tuple(type_of(argument) for argument in arguments)
+    # Compiling again would first check the cached code of the kernel for changes.
+    ready: Any = compiled.overloads.get(types)
+    return cast(_Function, compiled.compile(types) if ready is None else ready.entry_point)
 
 
 def contiguous(array: Array) -> Array:

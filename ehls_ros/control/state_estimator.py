@@ -357,10 +357,12 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
             stiffness += friction.element_stiffness[i]
     hydraulic = 4.0 * plant.bulk_modulus / plant.total_volume
     side = 1.0 if y[XV] >= 0.0 else -1.0
-    drop = max(supply - side * y[PL], MIN_DROP * plant.supply_pressure)
+    drop = supply - side * y[PL]
+    size = max(abs(drop), MIN_DROP * plant.supply_pressure)
     discharge = side_gain(side, model) * plant.discharge_coefficient
-    nominal_gain = discharge * plant.valve_area_gradient * math.sqrt(drop / plant.oil_density)
-    flow_gain = (1.0 + y[DISCHARGE]) * nominal_gain
+    nominal_gain = discharge * plant.valve_area_gradient * math.sqrt(size / plant.oil_density)
+    # Beyond the supply pressure the flow reverses, and with it the effect of opening and discharge coefficient.
+    passed = math.copysign(nominal_gain, drop)
     jacobian[:] = 0.0
     jacobian[X, V] = jacobian[YIELD, YIELD_RATE] = jacobian[PL, FLOW_ERROR] = 1.0
     jacobian[EXTERNAL, EXTERNAL_RATE] = jacobian[EXTERNAL_RATE, EXTERNAL_CURVATURE] = 1.0
@@ -375,10 +377,11 @@ def linearise(state: State, command: float, supply: float, model: Model, p: Assu
     jacobian[YIELD_RATE, YIELD] = -(p.coupling_stiffness + p.actuator_stiffness) / p.actuator_mass
     jacobian[YIELD_RATE, YIELD_RATE] = -(damping + p.coupling_damping) / p.actuator_mass
     jacobian[PL, V] = -hydraulic * plant.piston_area
-    jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + flow_gain * abs(y[XV]) / (2.0 * drop))
-    jacobian[PL, XV] = hydraulic * flow_gain
+    throttled = (1.0 + y[DISCHARGE]) * nominal_gain * abs(y[XV]) / (2.0 * size)
+    jacobian[PL, PL] = -hydraulic * (plant.leakage_coefficient + throttled)
+    jacobian[PL, XV] = hydraulic * (1.0 + y[DISCHARGE]) * passed
     opened = y[XV] if abs(y[XV]) >= p.least_opening else 0.0
-    jacobian[PL, DISCHARGE] = hydraulic * nominal_gain * opened
+    jacobian[PL, DISCHARGE] = hydraulic * passed * opened
     jacobian[XV, XV] = -plant.valve_bandwidth
     jacobian[XV, VALVE_GAIN] = plant.valve_bandwidth * plant.valve_gain * command
     jacobian[VALVE_GAIN, VALVE_GAIN] = jacobian[DISCHARGE, DISCHARGE] = -1.0 / GAIN_ERROR_TIME

@@ -43,9 +43,9 @@ def _explains(
     apart = differences(evidence, more, less)
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
     beyond = beyond_form(evidence, apart)
-    matters = relevance(evidence, beyond) >= (rules.RELEVANT_BESIDE if beside else rules.RELEVANT)
+    matters = relevance(evidence, beyond) >= (standard.relevant_beside if beside else rules.RELEVANT)
     clear = not less.names and shows(beyond.values(), rules.CLEAR)
-    if gain < standard.needed_gain or not (matters or clear) or not (beside or shows(apart.values())):
+    if gain < standard.needed_gain or not (matters or clear) or not (beside or stands_out(evidence, apart)):
         return False
     if gain_ratio(evidence, more, less) < standard.min_gain_ratio or not recurs(more, less, inflation):
         return False
@@ -72,7 +72,7 @@ def _stands_out(
         return False
     share = share_closed(evidence, more, less)
     # A cause that closes nearly all of the others' remainder is no error of form, however small.
-    needed = rules.RELEVANT if share >= rules.CLOSED else rules.FORM_ERROR if less.names else standard.form
+    needed = rules.RELEVANT if share >= rules.CLOSED else standard.relevant_beside if less.names else standard.form
     if share < rules.WORTHWHILE or relevance(evidence, differences(evidence, more, less)) < needed:
         return False
     # Standard errors include the form of the remainder; significance is therefore judged by the scatter alone.
@@ -150,6 +150,11 @@ def shows(apart: Iterable[Array], least: float = rules.SHOWN) -> bool:
         least: its least rms.
     """
     return any(rms(a) >= least for a in apart)
+
+
+def stands_out(evidence: Evidence, apart: Mapping[Channel, Array]) -> bool:
+    """Return whether the difference between two hypotheses is large enough beside the noise in any channel."""
+    return any(rms(e) >= evidence.standard.least_shown(evidence, c) for c, e in apart.items())
 
 
 def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:

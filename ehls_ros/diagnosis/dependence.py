@@ -66,17 +66,33 @@ def explained_by(basis: Array, e: Array, even: Mask) -> float:
         e: the residual, shape (n,).
         even: the windows in even blocks, shape (n,); each half is predicted from the other.
     """
-    rest, total = 0.0, 0.0
-    for train in (even, ~even):
-        a = basis[train]
-        if not np.any(a) or np.all(train):
-            return 0.0
-        normal = a.T @ a
-        normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
-        weights = np.linalg.solve(normal, a.T @ e[train])
-        rest += float(np.sum((e[~train] - basis[~train] @ weights) ** 2))
-        total += float(np.sum(e[~train] ** 2))
-    return max(0.0, 1.0 - rest / total) if total > 0.0 else 0.0
+    halves = basis[even], basis[~even]
+    normals, moments = [a.T @ a for a in halves], [a.T @ e[half] for a, half in zip(halves, (even, ~even), strict=True)]
+    return float(explained_shares(np.array(normals), np.array(moments), powers(e, even)))
+
+
+def powers(e: Array, even: Mask) -> Array:
+    """Return the sums of squares of a residual in even and odd blocks, shape (2,)."""
+    return np.array([float(np.sum(e[half] ** 2)) for half in (even, ~even)])
+
+
+def explained_shares(normals: Array, moments: Array, squares: Array) -> Array:
+    """Return the fractions of a residual's held-out variance explained by regressions on sets of columns, shape (...).
+
+    Args:
+        normals: products of each set's columns with each other in even and odd blocks, shape (2, ..., columns, columns).
+        moments: products of the columns with the residual there, shape (2, ..., columns).
+        squares: sums of squares of the residual there, shape (2,); each half is predicted from the other.
+    """
+    count = normals.shape[-1]
+    ridge = RIDGE * np.trace(normals, axis1=-2, axis2=-1) / count + np.finfo(np.float64).tiny
+    # A half without any of the columns predicts nothing.
+    weights = np.linalg.solve(normals + ridge[..., None, None] * np.eye(count), moments[..., None])[..., 0]
+    others = weights[::-1]
+    removed = 2.0 * np.sum(others * moments, axis=-1) - np.einsum("...i,...ij,...j->...", others, normals, others)
+    total = float(np.sum(squares))
+    shares: Array = np.maximum(0.0, np.sum(removed, axis=0) / total) if total > 0.0 else np.zeros(normals.shape[1:-2])
+    return shares
 
 
 def _basis(values: Array) -> Array:

@@ -63,6 +63,9 @@ class Standard:
     needed_gain = rules.NEEDED_GAIN
     """Gain on held-out data, less the penalty, that a cause must bring [nat]."""
 
+    relevant_beside = rules.RELEVANT_BESIDE
+    """Least change of a balance by a further cause, as a fraction of its largest term."""
+
     min_gain_ratio = rules.MIN_GAIN_RATIO
     """Minimum gain of a cause, as a fraction of the possible gain of its change of the residuals."""
 
@@ -101,6 +104,10 @@ class Standard:
     def form_error(self, channel: Channel) -> float:
         """Return the error of a balance's form that cannot be told from a change, as a fraction of its largest term."""
         return 0.0
+
+    def least_shown(self, evidence: "Evidence", channel: Channel) -> float:
+        """Return the rms change of a channel's residuals, in units of the noise, below which a first cause may be no cause."""
+        return rules.SHOWN
 
     def beyond(self, evidence: "Evidence", channel: Channel, change: Array) -> Array:
         """Return the part of a counted change that is compared with the error of form."""

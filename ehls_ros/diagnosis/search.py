@@ -331,14 +331,16 @@ def _exchanged(
 def _rivals(evidence: Evidence, best: Assessment, place: Place, scale: Mapping[Channel, float]) -> tuple[Assessment, ...]:
     """Return the hypotheses with another cause in a place, best first.
 
-    Beside errors of form, only those exceeding them are rivals. Against baselines, nor is one that would win although they
-    allow it as well: it would explain a remainder that is no change.
+    Beside errors of form, only those exceeding them are rivals, and those as good as the best hypothesis, which may just
+    exceed a limit that they miss. Against baselines, one that would win although they allow it as well is none: it would
+    explain a remainder that is no change.
     """
     without, wins = place.without, best.score(scale) - rules.NEEDED_GAIN
 
     def competes(rival: Assessment) -> bool:
         if evidence.standard.accepted_rivals_only:
-            return accepted(evidence, rival, without, scale)
+            equal = rival.score(scale) > best.score(scale) - rules.EQUAL
+            return equal or accepted(evidence, rival, without, scale)
         return rival.score(scale) < wins or is_new(evidence, rival, without, scale)
 
     return tuple(rival for rival in _ranked(place.rivals, scale) if competes(rival))

@@ -114,10 +114,15 @@ class Starts:
         """Return the most promising starts of a hypothesis with one more cause, each tried in the model it extends.
 
         A strong cause changes the effect of others: their sum, taken as linear, then says little. Only causes that act
-        where the hypothesis leaves more than noise are tried.
+        where the hypothesis leaves more than noise, enough for a further cause to matter, are tried.
         """
         evidence, few = self.pool.evidence, self.tried.few
-        left = {c for c in evidence.channels if member.excess(evidence, c) > PROMISING}
+        remains, least = member.fit.residuals.values, evidence.standard.relevant_beside
+        left = {
+            c
+            for c in evidence.channels
+            if member.excess(evidence, c) > PROMISING and evidence.nrmse(c, evidence.whole(c, remains[c])) >= least
+        }
         acting = [fits[0].hypothesis[0] for fits in self.tried.fits if left & set(fits[0].channels)]
         causes = [cause for cause in acting if _can_join(cause, member.hypothesis)]
         if not causes:

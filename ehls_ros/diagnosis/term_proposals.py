@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.dependence import explained_by, signals_along
+from ehls_ros.diagnosis.dependence import explained_by, explained_shares, powers, signals_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
@@ -138,20 +138,24 @@ class Waves(NamedTuple):
 
     Attributes:
         numbers: of periods along it, shape (waves,).
-        columns: each wave, its harmonics and a constant, in the windows, shape (waves, windows, columns).
+        columns: each wave, its harmonics and a constant, in the windows, shape (waves, columns, windows).
+        even: the windows in even blocks, shape (windows,); each half is predicted from the other.
+        normals: products of the columns with each other in even and odd blocks, shape (2, waves, columns, columns).
     """
 
     numbers: Array
     columns: Array
+    even: Mask
+    normals: Array
 
-    def strongest(self, target: Array, even: Mask) -> tuple[float, float]:
+    def strongest(self, target: Array) -> tuple[float, float]:
         """Return the number of periods that predicts a remainder best, and the fraction it explains.
 
         Args:
             target: the remainder, shape (windows,).
-            even: the windows in even blocks; each half is predicted from the other.
         """
-        shares = np.array([explained_by(columns, target, even) for columns in self.columns])
+        moments = np.array([self.columns @ np.where(half, target, 0.0) for half in (self.even, ~self.even)])
+        shares = explained_shares(self.normals, moments, powers(target, self.even))
         best = int(np.argmax(shares))
         # A wave and its harmonics are also harmonics of a longer wave.
         shorter = [k for k in range(best, len(shares)) if shares[k] >= (1.0 - HARMONIC_LOSS) * shares[best]]
@@ -254,7 +258,8 @@ def asked_in(evidence: Evidence, channel: Channel, friction: Callable[[Proposal]
     turning, direction = (0.0, None) if velocity is None else turns(evidence, channel, velocity)
     repeats = any("position" in place.single for place in PLACES[channel].values())
     position = signals.get("position")
-    waves = waves_along(respond, position) if repeats and position is not None and np.ptp(position) > 0.0 else None
+    even = evidence.block[channel] % 2 == 0
+    waves = waves_along(respond, position, even) if repeats and position is not None and np.ptp(position) > 0.0 else None
     return Asked(evidence, channel, respond, signals, direction, turning, waves, friction)
 
 
@@ -438,7 +443,7 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
         share = explained_by(_columns(asked, narrow, values, narrow.knots), target, even)
         out.append(narrow._replace(share=max(share, rules.DEPENDS)))
     if alike.argument == "position" and asked.waves is not None:
-        number, share = asked.waves.strongest(along, even)
+        number, share = asked.waves.strongest(along)
         repeating = alike._replace(low=0.0, high=float(np.ptp(values)) / number, periodic=True, knots=fine)
         if alike.effect == FRICTION:
             share = explained_by(_columns(asked, repeating, values, fine), target, even)
@@ -488,15 +493,18 @@ def _covered(means: Array, block: NDArray[np.intp]) -> tuple[float, float]:
     return float(lows[reached - 1]), float(highs[-reached])
 
 
-def waves_along(respond: Respond, values: Array) -> Waves:
+def waves_along(respond: Respond, values: Array, even: Mask) -> Waves:
     """Return the waves that are looked for along a signal's range.
 
     Args:
         respond: returns a channel's windows for a term's value at each sample.
         values: the signal, one value a sample.
+        even: the windows in even blocks, shape (windows,).
     """
     along, numbers = (values - np.min(values)) / np.ptp(values), np.arange(*WAVES, WAVE_STEP)
-    return Waves(numbers, np.stack([_repeating(respond, number * along) for number in numbers]))
+    columns = np.stack([_repeating(respond, number * along).T for number in numbers])
+    normals = np.stack([(columns * half) @ columns.transpose(0, 2, 1) for half in (even, ~even)])
+    return Waves(numbers, columns, even, normals)
 
 
 def _repeating(respond: Respond, cycles: Array) -> Array:

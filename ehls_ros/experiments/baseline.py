@@ -7,24 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.coverage import covered, ranges, remarks
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.discrepancy import Expected
 from ehls_ros.diagnosis.evidence import Evidence, gather
 from ehls_ros.diagnosis.healthy_variation import HealthyVariation, describe, learn_healthy_variation
-from ehls_ros.diagnosis.loss import loss
 from ehls_ros.diagnosis.pool import Progress
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import BaselineSummary, ChannelTrace, Diagnosis, Fitted, Healthy, trace
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, setup
 from ehls_ros.errors import BadInput
 from ehls_ros.experiments.first_draft import is_first_draft, wrong_numbers
-from ehls_ros.identification.rig_coefficients import BIASES, COULOMB, VISCOUS, coefficients, read
-from ehls_ros.identification.rig_fit import Stack, fit
+from ehls_ros.identification.rig_coefficients import read
 from ehls_ros.identification.rig_result import RigIdentification
-from ehls_ros.identification.rig_stages import sizes, without_signals
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -37,9 +33,6 @@ NEW_PROGRAMME = (
     " not seen; add a healthy recording of the programme"
 )
 """Remark on a recording unlike any baseline."""
-
-MAX_STEPS = 20
-"""Most steps in which the rig is fitted to the baselines."""
 
 
 def diagnose_against(
@@ -80,13 +73,12 @@ def diagnose_against(
     wrong = wrong_numbers(rig, identified)
     draft = is_first_draft(wrong)
     named = list(zip(baselines, called, strict=True))
-    fitted = identified.rig if draft else _fitted([_evidence(recording, rig, what, seed) for recording, what in named], rig)
     progress("learning the baselines", 0.5 * LEARNING)
-    healthy = [describe(_evidence(recording, fitted, what, seed)) for recording, what in named]
+    healthy = [describe(_evidence(recording, identified.rig, what, seed)) for recording, what in named]
     variation = learn_healthy_variation(healthy, _relative_errors(identified))
     found = diagnose(
         new,
-        fitted,
+        identified.rig,
         name,
         seed=seed,
         threads=threads,
@@ -118,28 +110,6 @@ def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence
     if not compared.channels:
         raise BadInput("no stage of the model can be compared with it", name, "a baseline with the new recording's signals")
     return gather(record, rig, compared, seed)
-
-
-def _fitted(baselines: Sequence[Evidence], rig: Rig) -> Rig:
-    """Return the rig with the coefficients of plant and friction that fit the baselines best, if they are nearly right.
-
-    Constant errors are fitted jointly to avoid bias, but then left to the learnt model of each channel. The shape of the
-    friction near rest rarely matters, and model errors would distort it: it is kept as given unless its fit improves the
-    likelihood sufficiently.
-    """
-    stack, records = Stack(baselines), [e.record for e in baselines]
-    known = {c.path: c for c in coefficients(rig, sizes(records, rig))}
-    missing = without_signals(records, stack, known)
-    wanted = [c for path, c in known.items() if path.startswith(("plant.", "friction.")) or path in BIASES]
-    determined = [c for c in wanted if c.path not in missing]
-    basic = [c for c in determined if not c.path.startswith("friction.") or c.path in (COULOMB, VISCOUS)]
-    steps, freedoms = MAX_STEPS, rules.BASELINE_FREEDOMS
-    few = fit(stack, rig, basic, stack.channels, steps, freedoms=freedoms)
-    every = fit(stack, few.rig, determined, stack.channels, steps, freedoms=freedoms)
-    gained = few.loss - float(np.sum(loss(every.e * every.scales / few.scales)))
-    # A nat for each coefficient (Akaike, 1974).
-    better = every if gained > len(determined) - len(basic) else few
-    return better.rig._replace(effects=rig.effects)
 
 
 def _relative_errors(found: RigIdentification) -> dict[str, float]:

@@ -1,14 +1,15 @@
 """Assumptions for a law on a real rig: of numbers that its rig file lacks, and adaptation to those that are wrong.
 
 None is worse than a usual one: a filter without the cycle by which a command acts late loses the force as soon as the piston
-rests, and one without a coupling takes the piston's own motion for the actuator's.
+rests, one without a coupling takes the piston's own motion for the actuator's, and one with exact sensors takes their noise and
+rounding for motion.
 """
 
 from typing import NamedTuple
 
 from ehls_ros.control.companions import adaptation
 from ehls_ros.control.controllers import CONTROLLERS
-from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, ratios, tuned_for
+from ehls_ros.control.rig_scale import PAPER_COUPLING, PAPER_COUPLING_DAMPING, PAPER_SENSORS, ratios, tuned_for
 from ehls_ros.experiments.adaptation_result import NAME as ADAPTATION
 from ehls_ros.experiments.spec import COMMAND_DELAY, COUPLING, Spec, Use
 from ehls_ros.physics.parameters import Sensor
@@ -47,14 +48,14 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
         sizes = ", ".join(f"{name} {value:.3g}" for name, value in use.parameters._asdict().items())
         lacking = f"the controller's rig file has no effect {use.name}"
         remarks.append(f"{lacking}: {spec.controller.name} assumes a usual one ({sizes}); {FOUND_BY}")
-    if assumed:
-        spec = _with_controller_rig(spec, rig.with_effects(tuple(assumed)))
     filters = any(use.name in knows for use in usual)
-    sensors = rig.effective().sensors
-    exact = [signal for signal in law.NEEDS if sensors.get(signal, Sensor()).reading_std == 0.0]
-    if filters and exact:
+    exact = {signal: sensor for signal, sensor in usual_sensors(rig).items() if filters and signal in law.NEEDS}
+    if exact:
         readings = f"the controller's rig file has no noise_std of {', '.join(exact)}"
-        remarks.append(f"{readings}: {spec.controller.name} takes these readings to be exact; {FOUND_BY}")
+        remarks.append(f"{readings}: {spec.controller.name} assumes that of usual sensors of the rig's size; {FOUND_BY}")
+        rig = rig._replace(sensors={**rig.sensors, **exact})
+    if filters:
+        spec = _with_controller_rig(spec, rig.with_effects(tuple(assumed)))
     if law.FOLLOWS == "force" and not spec.companions and (filters or law.FRICTION):
         companions = adapting(rig)
         if not companions:
@@ -85,6 +86,18 @@ def usual_effects(rig: Rig, period: float) -> tuple[EffectUse, ...]:
     scale = ratios(rig._replace(effects=()))
     coupling = {"stiffness": PAPER_COUPLING * scale.coupling, "damping": PAPER_COUPLING_DAMPING * scale.coupling_damping}
     return effects_from_list([{"name": COMMAND_DELAY, "delay": period}, {"name": COUPLING, **coupling}], "usual effects")
+
+
+def usual_sensors(rig: Rig) -> dict[str, Sensor]:
+    """Return sensors with the noise of the paper's on the rig's scale, for the readings without noise in the rig file."""
+    scale, described = ratios(rig), rig.effective().sensors
+    sizes = zip(PAPER_SENSORS, (scale.position_noise, scale.pressure_noise, scale.spool_noise, scale.force_noise), strict=True)
+    found = dict[str, Sensor]()
+    for signal, size in sizes:
+        given, usual = described.get(signal, Sensor()), PAPER_SENSORS[signal]
+        if given.reading_std == 0.0:
+            found[signal] = given._replace(noise_std=size * usual.noise_std, resolution=size * usual.resolution)
+    return found
 
 
 def _with_controller_rig(spec: Spec, rig: Rig) -> Spec:

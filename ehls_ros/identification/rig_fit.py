@@ -1,6 +1,5 @@
 """Fit of a rig's coefficients to the residuals of all stages of its recordings."""
 
-import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -103,19 +102,17 @@ class Stack:
         inside: NDArray[np.bool_] = np.isin(self.channel, numbers)
         return inside
 
-    def scales(self, e: Array, freedoms: float = math.inf) -> Array:
+    def scales(self, e: Array) -> Array:
         """Return the scale of each row's channel: the size of its residuals in units of noise, at least 1, shape (rows,).
 
         Args:
             e: whitened residuals, shape (rows,).
-            freedoms: effective number of rows of a channel over which the excess over the noise averages out.
         """
         out = np.ones(len(e))
         for i in range(len(self.channels)):
             inside = self.channel == i
             if np.any(inside):
-                beyond = max(0.0, (GAUSS * float(np.median(np.abs(e[inside])))) ** 2 - 1.0)
-                out[inside] = math.sqrt(1.0 + beyond * max(1.0, float(np.sum(inside)) / freedoms))
+                out[inside] = max(1.0, GAUSS * float(np.median(np.abs(e[inside]))))
         return out
 
 
@@ -167,7 +164,6 @@ def fit(
     chosen: Sequence[Coefficient],
     channels: Collection[Channel],
     iterations: int = 20,
-    freedoms: float = math.inf,
 ) -> RigFit:
     """Fit coefficients by damped Gauss-Newton steps of the Huber loss.
 
@@ -180,7 +176,6 @@ def fit(
         chosen: the coefficients to fit.
         channels: the channels to fit to.
         iterations: maximum number of steps; 0: only evaluate the start.
-        freedoms: effective number of windows of a channel over which errors of the model's form average out; by default all.
     """
     rows = stack.rows(channels)
     low, high = np.array([c.low for c in chosen]), np.array([c.high for c in chosen])
@@ -197,7 +192,7 @@ def fit(
 
     residuals = stack.residuals(model(z))
     whole = stack.joined(residuals)
-    scales = stack.scales(whole, freedoms)[rows]
+    scales = stack.scales(whole)[rows]
     converged = not chosen
     for iteration in range(iterations + 1):
         if converged or iteration == iterations:
@@ -227,7 +222,7 @@ def fit(
                 break
             continue
         z, residuals, whole, after = taken
-        now = stack.scales(whole, freedoms)[rows]
+        now = stack.scales(whole)[rows]
         steady = bool(np.all(np.abs(now / scales - 1.0) < STEADY_SCALE))
         scales = now
         converged = steady and before - after < CONVERGED + CONVERGED_FRACTION * before

@@ -17,7 +17,16 @@ from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers import fasmc_output_feedback as law
 from ehls_ros.control.controllers.base import DELTA, model_of
 from ehls_ros.control.disturbances import DISTURBANCES
-from ehls_ros.control.state_estimator import CELL_OFFSET, EXTERNAL, STATES, VALVE_GAIN, YIELD, YIELD_RATE, Assumptions
+from ehls_ros.control.state_estimator import (
+    CELL_OFFSET,
+    DISCHARGE,
+    EXTERNAL,
+    STATES,
+    VALVE_GAIN,
+    YIELD,
+    YIELD_RATE,
+    Assumptions,
+)
 from ehls_ros.experiments.loop import sampled, simulator_of
 from ehls_ros.experiments.spec import Spec, load_spec
 from ehls_ros.experiments.stepped_run import stepped_run
@@ -225,6 +234,24 @@ def test_default_numbers_hold_the_force_where_the_actuator_under_test_swings_wit
     assert stepped_run(spec).largest() < 0.03 * spec.reference.parameters.amplitude
     holding = held(spec)
     assert stepped_run(holding).swing() < 0.03 * holding.reference.parameters.amplitude
+
+
+@pytest.mark.parametrize("opening", [2e-3, -2e-3])
+@pytest.mark.parametrize("pressure", [3e6, 7.5e6, -7.5e6])
+def test_the_filter_linearises_the_flow_on_both_sides_of_the_supply_pressure(rig, opening, pressure):
+    model = model_of(rig, PERIOD)
+    state = state_estimator.state_of.py_func(np.zeros(state_estimator.MEMORY_SIZE))
+    y, jacobian = state.mean, np.zeros((STATES, STATES))
+    y[PL], y[XV], y[DISCHARGE] = pressure, opening, 0.1
+    in_python(state_estimator.linearise)(state, 0.0, 7e6, model, CALM, jacobian)
+    for column, step in ((PL, 1.0), (XV, 1e-9), (DISCHARGE, 1e-6)):
+        around = []
+        for sign in (1.0, -1.0):
+            moved, rate = y.copy(), np.zeros(len(y))
+            moved[column] += sign * step
+            in_python(state_estimator.rates)(moved, state.mode, 0.0, 7e6, model, CALM, rate)
+            around.append(rate[PL])
+        assert jacobian[PL, column] == pytest.approx((around[0] - around[1]) / (2.0 * step), rel=1e-4)
 
 
 @pytest.mark.parametrize("ahead", [1, 2])

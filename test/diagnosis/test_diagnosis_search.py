@@ -10,6 +10,7 @@ from plain_evidence import MASS, SIZE, VISCOUS, assessed, candidate, evidence_of
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis import search as searching
+from ehls_ros.diagnosis import starts as begun
 from ehls_ros.diagnosis.acceptance import (
     accepted,
     corrects_form,
@@ -27,10 +28,11 @@ from ehls_ros.diagnosis.evidence import Residuals, Standard
 from ehls_ros.diagnosis.fit import Fit
 from ehls_ros.diagnosis.healthy_variation import HealthyVariation
 from ehls_ros.diagnosis.hypotheses import at_lines, bounds, candidates, extended, parts
+from ehls_ros.diagnosis.measurement import BesideForm
 from ehls_ros.diagnosis.pool import Pool, informative_blocks
 from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.search import Place, simpler
-from ehls_ros.diagnosis.starts import LINE_SAMPLES, beside_load, combined, main_channel, spectral_lines
+from ehls_ros.diagnosis.starts import LINE_SAMPLES, Starts, Tried, beside_load, combined, main_channel, spectral_lines
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse
 from ehls_ros.trajectory import Trajectory
@@ -397,6 +399,32 @@ def test_a_cause_is_not_named_where_a_smaller_change_within_errors_of_form_expla
     large.fit.residuals.values["force"] = np.full(12, 2.0)
     left = searching._not_outdone(evidence, [small, large], less, FORCE)
     assert left == ((small, large) if kept else (small,))
+
+
+@pytest.mark.parametrize(("behind", "competes"), [(0.5 * rules.EQUAL, True), (2.0 * rules.EQUAL, False)])
+def test_beside_errors_of_form_a_rival_as_good_as_the_cause_competes_whatever_limit_it_misses(monkeypatch, behind, competes):
+    monkeypatch.setattr(searching, "accepted", lambda *given: False)
+    evidence = replace(evidence_of({"force": np.zeros(12)}), standard=BesideForm())
+    best, rival = scored((ONE,), 1000.0), scored((MASS,), 1000.0 - behind)
+    assert searching._rivals(evidence, best, Place(scored((), 0.0), (rival,)), FORCE) == ((rival,) if competes else ())
+
+
+@pytest.mark.parametrize(("remainder", "tried"), [(5.2, True), (4.8, False)])
+def test_where_the_remainder_is_too_small_for_a_further_cause_to_matter_none_is_tried_anew(monkeypatch, remainder, tried):
+    # The largest term is 100 times the noise floor, and a cause must change it by 5 % beside errors of form.
+    evidence = replace(evidence_of({"force": np.full(600, 30.0)}), standard=BesideForm())
+    alone = Fit((MASS,), np.ones(1), ("force",), evidence.base, np.ones((600, 1)), 0.0, np.ones(1))
+    starts = object.__new__(Starts)
+    starts.pool, starts.tried = SimpleNamespace(evidence=evidence), Tried((MASS,), evidence, [[alone]])
+    member = assessed((VISCOUS,), {"force": np.full(600, remainder)}, [1.0])
+    seen = list[str]()
+    monkeypatch.setattr(begun, "extended", lambda *given: seen.append("tried") or evidence.rig)
+    starts.pool.beside = lambda *given: SimpleNamespace(close=lambda: None)
+    monkeypatch.setattr(begun, "try_starts", lambda *given: None)
+    monkeypatch.setattr(begun, "Starts", lambda *given: SimpleNamespace(alone=[]))
+    starts._promising = lambda *given: []
+    assert starts.anew(member) == []
+    assert bool(seen) is tried
 
 
 def exchanged(monkeypatch, best, alone, dropped=None, sure=lambda hypothesis: len(hypothesis) == 1):

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from plain_evidence import MASS, assessed, evidence_of
 
 from ehls_ros.arrays import in_python
+from ehls_ros.diagnosis import empirical
 from ehls_ros.diagnosis.carried_over import carried_over
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.empirical import asked_about, candidate_of, formula_of
@@ -165,7 +167,7 @@ def test_a_hysteresis_of_the_pressure_sensor_is_known_from_the_load_cell():
 def test_the_period_that_predicts_a_remainder_is_found():
     values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
     target, even = np.sin(2.0 * np.pi * values / 8.1e-3 + 0.4), np.arange(3000) // 100 % 2 == 0
-    waves, share = waves_along(lambda signal: signal, values).strongest(target, even)
+    waves, share = waves_along(lambda signal: signal, values, even).strongest(target)
     assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
     assert share > 0.9
 
@@ -174,7 +176,7 @@ def test_a_whole_fraction_of_a_period_is_preferred():
     values = 0.065 * np.sin(np.linspace(0.0, 40.0, 3000))
     angle = 2.0 * np.pi * values / 8.1e-3 + 0.4
     target, even = np.sin(angle) + 0.1 * np.random.default_rng(1).standard_normal(3000), np.arange(3000) // 100 % 2 == 0
-    waves, _ = waves_along(lambda signal: signal, values).strongest(target, even)
+    waves, _ = waves_along(lambda signal: signal, values, even).strongest(target)
     assert float(np.ptp(values)) / waves == pytest.approx(8.1e-3, rel=0.01)
 
 
@@ -235,3 +237,15 @@ def test_a_table_has_data_at_each_of_its_values():
     pressures = np.concatenate([level + 0.1 * (even - 0.5) for level in (1.0, 3.0, 5.0, 7.0)])
     assert supported(pressures, 0.95, 7.05, 16) == 4
     assert supported(np.concatenate([even, 9.0 + even]), 0.0, 10.0, 16) == 2
+
+
+@pytest.mark.parametrize(("other", "equal"), [(500.0, True), (300.0, False)], ids=["as much", "less in one"])
+def test_hypotheses_are_equally_good_only_if_they_explain_each_channel_equally(other, equal):
+    # All of what is explained of one channel is less than a fiftieth of the other's.
+    def with_term(force):
+        gain = {"force": np.full(12, force / 12.0), "cell": np.full(12, 1e5 / 12.0)}
+        return assessed((MASS,), {"force": np.zeros(12), "cell": np.zeros(12)}, [1.0], gain)
+
+    evidence = evidence_of({"force": np.zeros(12), "cell": np.zeros(12)})
+    found = empirical._equally_good(evidence, [with_term(500.0), with_term(other)], assessed((), {}, gain={}))
+    assert found == ([0, 1] if equal else [0])

@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from ehls_ros.experiments.files import configured
-from ehls_ros.experiments.real_rig import for_real_rig
+from ehls_ros.experiments.real_rig import for_real_rig, usual_sensors
 from ehls_ros.experiments.spec import load_rig, spec_from_mapping, spec_to_mapping
 from ehls_ros.experiments.stepped_run import stepped_run
 from ehls_ros.experiments.yaml_files import spec_text
@@ -80,9 +80,14 @@ def test_a_law_for_positions_assumes_nothing():
     assert for_real_rig(position) == (position, ())
 
 
-def test_readings_taken_to_be_exact_are_named():
-    exact = RIG._replace(sensors={**RIG.sensors, "force": Sensor()})
+def test_noise_that_the_file_lacks_is_assumed_and_said():
+    exact = RIG._replace(sensors={**RIG.sensors, "force": Sensor(bias=3.0)})
     known = experiment(["command_delay", "coupling_stiffness"])
     told = known._replace(controller_rig=exact.with_effects(known.controller_rig.effects))
-    (said,) = [remark for remark in for_real_rig(told).remarks if "noise_std" in remark]
+    real = for_real_rig(told)
+    (said,) = [remark for remark in real.remarks if "noise_std" in remark]
     assert "no noise_std of force:" in said
+    assert real.spec.controller_rig.sensors == {**RIG.sensors, "force": RIG.sensors["force"]._replace(bias=3.0)}
+    larger = RIG.with_plant(piston_area=10.0 * RIG.plant.piston_area)._replace(sensors={})
+    noise = RIG.sensors["force"].reading_std
+    assert usual_sensors(larger)["force"].reading_std == pytest.approx(10.0 * noise)

@@ -27,6 +27,7 @@ RIG = load_rig(configured("rig_paper"))
 SINGLE_ROD = load_rig(configured("rig_single_rod"))
 COUPLING = effects_from_list([{"name": "coupling_stiffness", "stiffness": 3e6, "damping": 1e3}], "test")
 DELAY = effects_from_list([{"name": "command_delay", "delay": 2e-3}], "test")
+WIDE = LoopMargins(12.0, math.inf, 60.0, 0.01)
 SHORT = {
     "title": "short",
     "duration": 1.0,
@@ -99,14 +100,14 @@ def test_a_law_that_follows_a_position_is_refused():
 def test_rigs_within_the_uncertainty():
     told = RIG.with_effects(COUPLING)._replace(standard_errors={"plant.moving_mass": 0.2 * RIG.plant.moving_mass})
     spec = task_of(told, "fasmc_predictive").spec
-    drawn = uncertain(spec, 3, 1)
+    drawn = uncertain([spec] * 3, 1)
     for other in drawn:
         assert other.controller_rig == spec.controller_rig
         assert abs(other.rig.plant.moving_mass / RIG.plant.moving_mass - 1.0) <= 0.2 * LIMIT
         assert other.rig.plant.bulk_modulus != RIG.plant.bulk_modulus
         assert other.disturbance.parameters.stiffness != 3e6
     assert len({other.rig.plant.moving_mass for other in drawn}) == 3
-    [exact] = uncertain(spec, 1, 1, 0.0)
+    [exact] = uncertain([spec], 1, 0.0)
     assert exact.rig == spec.rig
 
 
@@ -156,11 +157,41 @@ def test_the_defaults_hold_the_force_of_a_single_rod_against_a_moving_actuator(l
 
 
 @pytest.mark.parametrize(("error", "gain_db", "phase", "factor"), [
-    (0.05, 6.0, 30.0, 1.0), (0.1, 6.0, 30.0, 2.0), (0.0, 3.5, 30.0, 2.0), (0.0, 6.0, 20.0, 1.6), (0.1, 3.5, 20.0, 6.4),
+    (0.05, 6.0, 30.0, 1.0), (0.1, 6.0, 30.0, 2.0), (0.0, 2.5, 30.0, 1.4), (0.0, 6.0, 14.3, 1.4), (0.1, 2.5, 14.3, 2.8),
 ])  # fmt: skip
 def test_lacking_margins_and_an_unsteady_force_count_as_a_larger_error(error, gain_db, phase, factor):
     trial = Trial({}, 1.0, 1.0, 1.0, error, LoopMargins(gain_db, math.inf, phase, 0.0))
-    assert math.exp(trial.score(Wanted(6.0, 30.0))) == pytest.approx(factor)
+    assert math.exp(trial.score(Wanted(6.0, 30.0))) == pytest.approx(factor, rel=0.02)
+    assert trial.lacking(Wanted(0.0, 0.0)) == pytest.approx(math.log(max(error / 0.05, 1.0)))
+
+
+def test_six_decibels_and_thirty_degrees_are_nearly_the_same_distance():
+    gain, phase = tuning.distances(6.0, 30.0)
+    assert gain == pytest.approx(phase, rel=0.04)
+    assert tuning.distances(math.inf, math.inf) == pytest.approx((1.0, 2.0))
+
+
+def test_without_an_experiment_the_drawn_rigs_have_other_frequencies():
+    task = task_of(RIG, "fasmc", period=5e-4)
+    assert len(task.others) == tuning.RIGS
+    frequencies = {other.reference.parameters.frequency for other in (task.spec, *task.others)}
+    assert len(frequencies) == 1 + tuning.RIGS
+    speeds = [
+        signal.amplitude * signal.frequency
+        for signal in (each.disturbance.signal.parameters for each in (task.spec, *task.others))
+    ]
+    assert max(speeds) <= 1.01 * speeds[0]
+    assert all(other.settings == task.spec.settings for other in task.others)
+    assert task_of(RIG, "fasmc", SHORT).others == ()
+
+
+@pytest.mark.parametrize(("errors", "held", "worse"), [
+    ((11.0, 12.0), 0.0, True), ((9.0, 30.0), 0.0, False), ((6.0, 7.0), 0.1, True), ((9.0, 9.0, 60.0), 0.0, True),
+])  # fmt: skip
+def test_a_set_is_given_up_when_each_run_or_their_sum_is_worse(errors, held, worse):
+    best = Trial({}, 10.0, 10.0, 10.0, 0.0, WIDE, (10.0, 10.0, 10.0, 10.0))
+    found = Trial({}, 0.0, sum(errors) / 4.0, 0.0, held, WIDE, errors)
+    assert tuning._worse(found, best, Wanted()) == worse
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from ehls_ros.experiments.real_rig import adapting
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.stepped_run import largest, stepped_run, swing
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
-from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, servo_of, task_of, usual
+from ehls_ros.experiments.tuning.task import HELD_FREQUENCY, HELD_PART, servo_of, task_of
 from ehls_ros.experiments.tuning.tune import tune, with_numbers
 from ehls_ros.progress import Update
 from ehls_ros.trajectory import Trajectory
@@ -42,7 +42,7 @@ def law_tuned(session: Session, known: Known, progress: Update) -> Outcome:
     Raises:
         Contradiction: in simulation, no numbers hold the force.
     """
-    found = tune(task_of(known.rig, LAW, usual(known.rig, session.period)), wanted=known.wanted, progress=progress)
+    found = tune(task_of(known.rig, LAW, period=session.period), wanted=known.wanted, progress=progress)
     if found.lost:
         remedy = "numbers that fit the rig, for which the report shows those found, or `ehls tune` with another law"
         raise Contradiction(f"in simulation, no numbers of {LAW} hold the force of the rig as found", "rig file", remedy)

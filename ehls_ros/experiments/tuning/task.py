@@ -24,6 +24,9 @@ FORCE_PART, FREQUENCY = 0.5, 0.5
 SPEED_PART, STROKE_PART, MOTION_FREQUENCY = 0.3, 0.5, 1.0
 """Motion of the actuator under test by default: velocity over the loader's, travel over half the stroke, frequency [Hz]."""
 
+OTHERS = ((0.6, 1.3), (0.9, 0.4), (1.3, 2.0), (2.0, 0.6), (3.0, 0.9))
+"""Frequencies of reference and motion over the usual ones for rigs within the uncertainty, where no experiment is given."""
+
 HELD_PART, HELD_FREQUENCY, HELD_DURATION = 0.05, 0.5, 3.0
 """Sine of the force against an actuator that holds: amplitude over the largest force, frequency [Hz], duration [s]."""
 
@@ -43,13 +46,22 @@ class Task(NamedTuple):
     Attributes:
         spec: the experiment.
         remarks: sentences on assumptions made.
+        others: the experiment with other frequencies, where none is given; numbers that follow one sine may follow no other.
     """
 
     spec: Spec
     remarks: tuple[str, ...]
+    others: tuple[Spec, ...] = ()
 
 
-def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: str = "tune", folder: Path = Path()) -> Task:
+def task_of(
+    rig: Rig,
+    law: str,
+    given: Mapping[str, Any] | None = None,
+    where: str = "tune",
+    folder: Path = Path(),
+    period: float | None = None,
+) -> Task:
     """Return the experiment to tune for.
 
     The simulated rig is the one that the controller knows, including delay and coupling.
@@ -61,11 +73,15 @@ def task_of(rig: Rig, law: str, given: Mapping[str, Any] | None = None, where: s
             None: sines of force and motion within the rig's reach.
         where: the file, for errors.
         folder: folder of its files.
+        period: control period without an experiment [s]; None: the usual one.
 
     Raises:
         BadInput: a key of the experiment is wrong, or the law does not control a force.
     """
-    content: dict[str, Any] = {"title": f"tuning of {law}", **(usual(rig) if given is None else given)}
+    if given is None:
+        task = task_of(rig, law, usual(rig, period), where)
+        return task._replace(others=tuple(task_of(rig, law, usual(rig, period, *other), where).spec for other in OTHERS))
+    content: dict[str, Any] = {"title": f"tuning of {law}", **given}
     stated = content.get("controller")
     stated = dict(stated) if isinstance(stated, Mapping) else {"name": stated or law}
     for name in (law, stated.get("name")):
@@ -111,21 +127,23 @@ def held(spec: Spec) -> Spec | None:
     return still(spec)._replace(reference=reference, settings=settings)
 
 
-def usual(rig: Rig, period: float | None = None) -> dict[str, Any]:
-    """Return reference and disturbance within the reach of a rig, for two periods of the force.
+def usual(rig: Rig, period: float | None = None, faster: float = 1.0, moving_faster: float = 1.0) -> dict[str, Any]:
+    """Return reference and disturbance within the reach of a rig, for two periods of the usual force.
 
     Args:
         rig: the rig.
         period: control period [s]; None: the usual one.
+        faster: frequency of the force over the usual one.
+        moving_faster: frequency of the motion over the usual one.
     """
-    plant = rig.plant
-    travel = min(SPEED_PART * speed_of(rig) / (2.0 * math.pi * MOTION_FREQUENCY), STROKE_PART * room_of(rig))
+    plant, frequency = rig.plant, moving_faster * MOTION_FREQUENCY
+    travel = min(SPEED_PART * speed_of(rig) / (2.0 * math.pi * frequency), STROKE_PART * room_of(rig))
     amplitude = FORCE_PART * (largest_force(rig) - abs(plant.moving_mass * plant.gravity))
     return {
         **({} if period is None else {"control_period": period}),
         "duration": 2.0 / FREQUENCY,
-        "reference": {"name": "sine", "amplitude": float(f"{amplitude:.3g}"), "frequency": FREQUENCY},
-        "disturbance": servo_of(rig, {"name": "sine", "amplitude": float(f"{travel:.3g}"), "frequency": MOTION_FREQUENCY}),
+        "reference": {"name": "sine", "amplitude": float(f"{amplitude:.3g}"), "frequency": faster * FREQUENCY},
+        "disturbance": servo_of(rig, {"name": "sine", "amplitude": float(f"{travel:.3g}"), "frequency": frequency}),
     }
 
 

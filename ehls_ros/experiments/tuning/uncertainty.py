@@ -1,6 +1,6 @@
 """Rigs as they may be within the uncertainty of a rig file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,17 +39,15 @@ def relative_errors(rig: Rig) -> dict[str, float]:
     return {**ASSUMED, **{path: std / abs(read(rig, path)) for path, std in stated.items()}}
 
 
-def uncertain(spec: Spec, count: int, seed: int, scale: float = 1.0) -> list[Spec]:
-    """Return experiments on rigs within the uncertainty of the controller's rig, which stays as it is.
+def uncertain(specs: Sequence[Spec], seed: int, scale: float = 1.0) -> list[Spec]:
+    """Return experiments each on a rig within the uncertainty of the controller's rig, which stays as it is.
 
     Args:
-        spec: the experiment on the rig of the file.
-        count: number of rigs.
+        specs: the experiments on the rig of the file.
         seed: seed of the draws and of the sensors' noise.
         scale: factor on all standard errors.
     """
-    errors = relative_errors(spec.controller_rig)
-    return [_drawn(spec, errors, scale, seed + 1 + number) for number in range(count)]
+    return [_drawn(spec, relative_errors(spec.controller_rig), scale, seed + 1 + number) for number, spec in enumerate(specs)]
 
 
 def _drawn(spec: Spec, errors: Mapping[str, float], scale: float, seed: int) -> Spec:
