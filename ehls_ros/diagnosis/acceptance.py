@@ -44,7 +44,7 @@ def _explains(
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
     beyond = beyond_form(evidence, apart)
     matters = relevance(evidence, beyond) >= (standard.relevant_beside if beside else rules.RELEVANT)
-    clear = not less.names and shows(beyond.values(), rules.CLEAR)
+    clear = not beside and shows(beyond.values(), rules.CLEAR)
     if gain < standard.needed_gain or not (matters or clear) or not (beside or stands_out(evidence, apart)):
         return False
     if gain_ratio(evidence, more, less) < standard.min_gain_ratio or not recurs(more, less, inflation):

@@ -249,8 +249,11 @@ def _screen(worker: Worker, candidate: Candidate) -> list[Fit]:
         steps = fit.steps
         if _changing(fit) is None:
             continue
-        reached = few.first_step(newton_start(fit)).loss if len(candidate.starts) > 1 else predicted_loss(fit)
-        found.append((base_loss(few.evidence, fit) - reached, fit))
+        left = predicted_loss(fit)
+        if len(candidate.starts) > 1:
+            # A step from far away may end well by chance; what the start predicts is what it is chosen by later.
+            left = max(left, few.first_step(newton_start(fit)).loss)
+        found.append((base_loss(few.evidence, fit) - left, fit))
     return [fit for _, fit in sorted(found, key=lambda item: -item[0])]
 
 
