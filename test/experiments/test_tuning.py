@@ -202,6 +202,18 @@ def tuned():
         return tune(task_of(RIG, "fasmc", SHORT), wanted=Wanted(3.0, 20.0), uncertainty=0.0, jobs=1)
 
 
+@pytest.mark.parametrize(("error", "taken"), [(11.5, True), (11.8, False)])
+def test_margins_asked_for_are_kept_where_they_cost_up_to_a_quarter_more_error(error, taken):
+    search = object.__new__(tuning._Search)
+    search._wanted = Wanted()
+    lacking = Trial({}, 9.0, 9.0, 9.0, 0.0, LoopMargins(5.9, math.inf, 28.0, 0.01))
+    whole = Trial({}, error, error, error, 0.0, WIDE)
+    search.trials = [lacking, whole]
+    assert search.choice() is lacking
+    # The margins that the first lacks count as an error of 3 %.
+    assert search.choice(tuning.AFFORDED) is (whole if taken else lacking)
+
+
 def test_the_search_finds_less_error_with_the_margins_asked_for(tuned):
     assert tuned.chosen.error < 0.9 * tuned.default.error
     assert tuned.holds

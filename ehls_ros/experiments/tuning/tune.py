@@ -45,6 +45,9 @@ LEAST = 1e-9
 BETTER = 0.98
 """Ratio of two scores below which the smaller one is an improvement."""
 
+AFFORDED = 1.25
+"""Factor on the least error, with what it lacks, up to which a set that lacks nothing is chosen."""
+
 PRICE = 0.5
 """Power of the loop's distance from instability by which lacking margins count: at half the distance of those asked for, an
 error counts 1.4 times. A higher price bought some dB with twice the error on rigs whose law reaches no such margins."""
@@ -220,7 +223,7 @@ def tune(
         search.improve(default)
         curve = search.all([search.faster(search.choice().numbers, speed) for speed in SPEEDS])
         # Faster or slower altogether may be better still.
-        chosen = search.choice()
+        chosen = search.choice(AFFORDED)
         limits = search.limits(chosen)
     found = Tuned(
         task,
@@ -376,11 +379,17 @@ class _Search:
         """Return numbers with all but the dimensionless ones multiplied."""
         return {name: value if self._declared[name].unit == "1" else factor * value for name, value in numbers.items()}
 
-    def choice(self) -> Trial:
-        """Return the best of all sets tried; of equally good ones, one that lacks nothing."""
-        level = min(trial.score(self._wanted) for trial in self.trials) - math.log(BETTER)
-        equal = [trial for trial in self.trials if trial.score(self._wanted) <= level]
-        return min(equal, key=lambda trial: (trial.lacking(self._wanted) > 0.0, trial.score(self._wanted)))
+    def choice(self, afforded: float = 1.0 / BETTER) -> Trial:
+        """Return the best of all sets tried; of those whose error, with what it lacks, is near the least, one without a lack.
+
+        Args:
+            afforded: factor on the least error up to which others are near.
+        """
+        best = min(self.trials, key=lambda trial: trial.score(self._wanted))
+        level = best.score(self._wanted) + math.log(afforded)
+        near = [trial for trial in self.trials if trial.score(self._wanted) <= level]
+        whole = [trial for trial in near if trial.lacking(self._wanted) == 0.0]
+        return min(whole or [best], key=lambda trial: trial.score(self._wanted))
 
     def improve(self, start: Trial) -> None:
         """Try all numbers of a start faster or slower together, then sets each better than the one before."""
