@@ -255,8 +255,8 @@ Origin: rounded up from 6.6, that quantile of the squares of Gaussian noise.
 """
 
 CLEAR = 1.0
-"""Multiple of the noise's rms by which a residual stands clear of it: where no cause is named, that matters however small it is
-beside the largest term, and even if it comes from one block only.
+"""Multiple of the noise's rms by which a residual stands clear of it: where no cause acts in the balance, that matters however
+small it is beside the largest term, and where none is named even if it comes from one block only.
 
 Origin: a constant force of 2.6 times the noise below 25 Hz is 1.4 times that of the windows; of 50 healthy recordings of
 benchmarks/diagnosis none comes near.
