@@ -54,7 +54,12 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
     out = []
     for index, (candidate, place) in enumerate(zip(best.hypothesis, found.places, strict=True)):
         gain = best.score(scale) - place.without.score(scale)
-        others = _other_effects(best, place, scale)
+        # One that explains more and was not named is too vague, such as a mass on a joint of nearly any stiffness.
+        others = [
+            j
+            for j in _other_effects(best, place, scale)
+            if j.score(scale) <= best.score(scale) or j.sigmas(len(j.hypothesis) - 1) >= rules.MIN_SIGMAS
+        ]
         main = mostly_in(best, place.without)
         # A gain over a hypothesis that differs by no more than the form of the model tells nothing.
         alike = frozenset(j.hypothesis[-1].name for j in others if _within_form(evidence, best, j, gain, scale))

@@ -469,6 +469,17 @@ def test_what_explains_less_is_a_rival():
     assert rival.closed_fraction == pytest.approx(1.0 - 0.09 / 1.09, abs=0.03)
 
 
+@pytest.mark.parametrize(("sigmas", "probable"), [(3.0, True), (6.0, False)], ids=["vague", "sure"])
+def test_a_rival_that_explains_more_is_one_only_if_it_could_be_named(sigmas, probable):
+    evidence, found = searched()
+    (better,) = found.places[0].rivals
+    gain = {"force": 1.1 * found.best.held_out.gain["force"]}
+    covariance = np.array([[(better.fit.values[0] / sigmas) ** 2]])
+    rival = better._replace(held_out=better.held_out._replace(gain=gain, covariance=covariance))
+    (cause,) = causes(evidence, found._replace(places=(found.places[0]._replace(rivals=(rival,)),)), 0)
+    assert cause.probability == pytest.approx(1.0 if probable else 0.0, abs=1e-3)
+
+
 @pytest.mark.parametrize(("form", "equivalent"), [(0.02, ("viscous_shift",)), (0.002, ())])
 def test_what_differs_by_no_more_than_errors_of_form_is_equivalent(form, equivalent):
     # The rival differs by 0.9 % of the largest term.
