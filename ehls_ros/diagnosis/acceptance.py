@@ -45,7 +45,7 @@ def _explains(
     beyond = beyond_form(evidence, apart)
     matters = relevance(evidence, beyond) >= (standard.relevant_beside if beside else rules.RELEVANT)
     clear = not beside and shows(beyond.values(), rules.CLEAR)
-    if gain < standard.needed_gain or not (matters or clear) or not (beside or stands_out(evidence, apart)):
+    if gain < standard.needed_gain or not (matters or clear) or not (beside or shows(apart.values())):
         return False
     if gain_ratio(evidence, more, less) < standard.min_gain_ratio or not recurs(more, less, inflation):
         return False
@@ -150,11 +150,6 @@ def shows(apart: Iterable[Array], least: float = rules.SHOWN) -> bool:
         least: its least rms.
     """
     return any(rms(a) >= least for a in apart)
-
-
-def stands_out(evidence: Evidence, apart: Mapping[Channel, Array]) -> bool:
-    """Return whether the difference between two hypotheses is large enough beside the noise in any channel."""
-    return any(rms(e) >= evidence.standard.least_shown(evidence, c) for c, e in apart.items())
 
 
 def is_new(evidence: Evidence, more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> bool:

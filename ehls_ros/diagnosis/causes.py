@@ -54,18 +54,15 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
     out = []
     for index, (candidate, place) in enumerate(zip(best.hypothesis, found.places, strict=True)):
         gain = best.score(scale) - place.without.score(scale)
-        # One that explains more and was not named is too vague, such as a mass on a joint of nearly any stiffness.
-        others = [
-            j
-            for j in _other_effects(best, place, scale)
-            if j.score(scale) <= best.score(scale) or j.sigmas(len(j.hypothesis) - 1) >= rules.MIN_SIGMAS
-        ]
+        others = _other_effects(best, place, scale)
         main = mostly_in(best, place.without)
         # A gain over a hypothesis that differs by no more than the form of the model tells nothing.
         alike = frozenset(j.hypothesis[-1].name for j in others if _within_form(evidence, best, j, gain, scale))
-        told = [best if j.hypothesis[-1].name in alike else j for j in others]
+        # One that explains more and was not named is too vague, such as a mass on a joint of nearly any stiffness.
+        sure = [j for j in others if j.score(scale) <= best.score(scale) or j.sigmas(len(j.hypothesis) - 1) >= rules.MIN_SIGMAS]
+        told = [best if j.hypothesis[-1].name in alike else j for j in sure]
         gains = [j.per_block(scale) for j in (best, *told, place.without)]
-        alone = probabilities(gains, [len(j.fit.values) for j in (best, *others, place.without)], seed)
+        alone = probabilities(gains, [len(j.fit.values) for j in (best, *sure, place.without)], seed)
         probability = float(alone[0])
         if stages.count(stages[index]) > 1:
             probability *= rules.BOTH_RIGHT

@@ -105,10 +105,6 @@ class Standard:
         """Return the error of a balance's form that cannot be told from a change, as a fraction of its largest term."""
         return 0.0
 
-    def least_shown(self, evidence: "Evidence", channel: Channel) -> float:
-        """Return the rms change of a channel's residuals, in units of the noise, below which a first cause may be no cause."""
-        return rules.SHOWN
-
     def beyond(self, evidence: "Evidence", channel: Channel, change: Array) -> Array:
         """Return the part of a counted change that is compared with the error of form."""
         return change

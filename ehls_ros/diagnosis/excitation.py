@@ -117,7 +117,7 @@ def sensitivities(
             effect = evidence.nrmse(main, whole)
             smallest = smallest_detectable(sum(informed.values()), effect, rules.RELEVANT, evidence.standard.needed_gain)
             if smallest is not None:
-                smallest = max(smallest, evidence.standard.least_shown(evidence, main) / max(rms(whole), 1e-300))
+                smallest = max(smallest, rules.SHOWN / max(rms(whole), 1e-300))
                 form = {c: evidence.standard.form_error(c) if beside_form else 0.0 for c in columns}
                 smallest = beyond_allowances(evidence, comparison, direction, smallest, form, inflation)
             if smallest is not None:
@@ -220,7 +220,6 @@ def _shown_from(
 ) -> float:
     """Return the size from which a change in proportion to it shows, with the allowances for its true size."""
     needed, standard = needed_sigmas(evidence.standard.needed_gain), evidence.standard
-    least = {c: standard.least_shown(evidence, c) for c in per_size}
 
     def shows_at(size: float) -> bool:
         information, relevant, stands_out = 0.0, False, False
@@ -231,12 +230,12 @@ def _shown_from(
             counted = standard.counted(evidence, c, change)
             exceeds = evidence.nrmse(c, standard.beyond(evidence, c, counted)) > form[c]
             relevant |= exceeds and evidence.nrmse(c, counted) >= (1.0 - ROUNDING) * rules.RELEVANT
-            stands_out |= rms(counted) >= (1.0 - ROUNDING) * least[c]
+            stands_out |= rms(counted) >= (1.0 - ROUNDING) * rules.SHOWN
         return information >= (1.0 - ROUNDING) * needed**2 and relevant and stands_out
 
     # From the size that would show if nothing were allowed.
     certain = sum(float(column @ column) / inflation.get(c, 1.0) for c, column in per_size.items())
-    standing_out = min(least[c] / max(rms(column), 1e-300) for c, column in per_size.items())
+    standing_out = rules.SHOWN / max(*(rms(column) for column in per_size.values()), 1e-300)
     size = smallest if certain == 0.0 else max(needed / math.sqrt(certain), standing_out)
     for _ in range(MAX_GROWTHS):
         if shows_at(size):

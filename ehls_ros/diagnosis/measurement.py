@@ -18,7 +18,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance
 from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing
-from ehls_ros.diagnosis.loss import power, rms
+from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.memory import remembered
 from ehls_ros.diagnosis.noise import without_noise
 from ehls_ros.diagnosis.record import HELD, Record
@@ -35,11 +35,6 @@ class BeyondMeasurement(Standard):
     def counted(self, evidence: Evidence, channel: Channel, change: Array) -> Array:
         """Return the change beyond the bounds of the allowances in full: the weights there only soften their edge."""
         return evidence.beyond(channel, change)
-
-    def least_shown(self, evidence: Evidence, channel: Channel) -> float:
-        """Return the least rms change that is neither an error of the noise floor nor of the allowances' form."""
-        e = evidence.base.values[channel]
-        return max(rules.SHOWN_BESIDE_SENSORS, rules.SHOWN_OF_ALLOWED * rms(evidence.whole(channel, e) - e))
 
 
 BEYOND_MEASUREMENT = BeyondMeasurement()

@@ -201,18 +201,6 @@ RECURRING = 0.25
 SHOWN = 0.5
 """Rms change in units of the noise below which a cause may be an error of the noise floor itself."""
 
-SHOWN_BESIDE_SENSORS = 0.15
-"""The same where sensors alone make the noise.
-
-Origin: of 20 healthy recordings of the truth generator, no cause gained enough and changed more, but for the next rule.
-"""
-
-SHOWN_OF_ALLOWED = 0.08
-"""The same as a fraction of what errors of the measurement explain, whose effect is known to second order only.
-
-Origin: in a healthy recording with skews of a sample, causes gained enough with up to 0.06.
-"""
-
 RARE_QUANTILE = 0.99
 """Quantile of magnitudes that stands for the largest: a signal's reach, and rare errors, which a mean would hide."""
 

@@ -9,7 +9,6 @@ from plain_evidence import MASS, assessed, candidate, evidence_of
 from scipy.ndimage import shift
 
 from ehls_ros.diagnosis import excitation, rules
-from ehls_ros.diagnosis.acceptance import stands_out
 from ehls_ros.diagnosis.allowance import Allowance, together
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, Standard, allowing
 from ehls_ros.diagnosis.fit import Fit
@@ -76,18 +75,6 @@ def test_a_change_counts_in_full_beyond_the_bounds(size, left):
     known = beyond(np.zeros(WINDOWS), allowance())
     apart = BEYOND_MEASUREMENT.counted(known, "force", size * 40.0 * UNIT)
     np.testing.assert_allclose(apart, left * 40.0 * UNIT, atol=0.1 * np.max(UNIT))
-
-
-@pytest.mark.parametrize(("taken", "least"), [(0.0, rules.SHOWN_BESIDE_SENSORS), (100.0, 100.0 * rules.SHOWN_OF_ALLOWED)])
-def test_a_change_stands_out_of_the_noise_and_of_what_measurement_errors_explain(taken, least):
-    size = taken * math.sqrt(WINDOWS)
-    known = beyond(size * UNIT, allowance(most=math.inf))
-    # Of what is along the allowed direction, all but one prior standard deviation in forty is explained.
-    assert BEYOND_MEASUREMENT.least_shown(known, "force") == pytest.approx(least, rel=0.03)
-    change = SHAPE * least / math.sqrt(np.mean(SHAPE**2))
-    judged = replace(known, standard=BEYOND_MEASUREMENT)
-    assert stands_out(judged, {"force": 1.05 * change})
-    assert not stands_out(judged, {"force": 0.95 * change})
 
 
 def test_a_size_that_measurement_errors_may_have_is_not_said_to_show(monkeypatch):
