@@ -59,7 +59,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
         # A gain over a hypothesis that differs by no more than the form of the model tells nothing.
         alike = frozenset(j.hypothesis[-1].name for j in others if _within_form(evidence, best, j, gain, scale))
         # One that explains more and was not named is too vague, such as a mass on a joint of nearly any stiffness.
-        sure = [j for j in others if j.score(scale) <= best.score(scale) or j.sigmas(len(j.hypothesis) - 1) >= rules.MIN_SIGMAS]
+        sure = [j for j in others if j.score(scale) <= best.score(scale) or j.sigmas(-1) >= rules.MIN_SIGMAS]
         told = [best if j.hypothesis[-1].name in alike else j for j in sure]
         gains = [j.per_block(scale) for j in (best, *told, place.without)]
         alone = probabilities(gains, [len(j.fit.values) for j in (best, *sure, place.without)], seed)

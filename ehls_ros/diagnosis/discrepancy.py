@@ -376,10 +376,10 @@ def _solved(folds: Sequence[_Products], fitted: Mask) -> tuple[Array, Array]:
 
     Only the fitted columns have a mean: those of the fitted coefficients, which come first, and all of the functions.
     """
-    normal, moment = (np.sum([getattr(own, name) for own in folds], axis=0) for name in _Products._fields)
-    normal += np.eye(len(normal))
-    chosen = np.concatenate([fitted, np.ones(len(normal) - len(fitted), dtype=np.bool_)])
-    mean = np.zeros(len(normal))
+    moment = np.sum([own.moment for own in folds], axis=0)
+    normal = np.sum([own.normal for own in folds], axis=0) + np.eye(len(moment))
+    chosen = np.concatenate([fitted, np.ones(len(moment) - len(fitted), dtype=np.bool_)])
+    mean = np.zeros(len(moment))
     mean[chosen] = scipy.linalg.cho_solve(scipy.linalg.cho_factor(normal[np.ix_(chosen, chosen)]), moment[chosen])
     return mean, normal
 

@@ -126,7 +126,7 @@ def described(pool: Pool, found: Searched, answer: PartialAnswer | None, stage: 
     """
     evidence = pool.evidence
     nothing = given_model(evidence)
-    partly = nothing if answer is None else _refitted(evidence, answer)
+    partly = nothing if answer is None else _refitted(evidence, answer.found.best.fit)
     bases = {frozenset(j.names): j for j in (nothing, *(place.without for place in found.places), partly, found.best)}
     inside = asked_about(evidence, stage)
     linearised, begun = dict[tuple[object, ...], list[Fit]](), list[tuple[Assessment, Proposal, Start]]()
@@ -165,10 +165,10 @@ def described(pool: Pool, found: Searched, answer: PartialAnswer | None, stage: 
     return Described(offer.more, offer.base, _term(evidence, offer), others)
 
 
-def _refitted(evidence: Evidence, answer: PartialAnswer) -> Assessment:
-    """Return the causes of a partial answer, fitted with only the sensors' noise counted as noise."""
-    worker, fit = Worker(evidence), answer.found.best.fit
-    return assess(evidence, worker.fit(worker.linearise(fit.hypothesis, fit.values, fit.steps)), worker)
+def _refitted(evidence: Evidence, start: Fit) -> Assessment:
+    """Return a hypothesis fitted from its values elsewhere, with only the sensors' noise counted as noise."""
+    worker = Worker(evidence)
+    return assess(evidence, worker.fit(worker.linearise(start.hypothesis, start.values, start.steps)), worker)
 
 
 def _beside_answer(evidence: Evidence, answer: Assessment, offer: _Offer) -> _Offer:
@@ -178,9 +178,7 @@ def _beside_answer(evidence: Evidence, answer: Assessment, offer: _Offer) -> _Of
     """
     if most_explained(offer.base.held_out.residuals, offer.more.held_out.residuals) in answer.fit.channels:
         return offer
-    worker, start = Worker(evidence), answer.fit.beside(offer.more.fit.only(-1))
-    fit = worker.fit(worker.linearise(start.hypothesis, start.values, start.steps))
-    return _Offer(answer, assess(evidence, fit, worker), offer.proposal)
+    return _Offer(answer, _refitted(evidence, answer.fit.beside(offer.more.fit.only(-1))), offer.proposal)
 
 
 def asked_about(evidence: Evidence, stage: Stage) -> list[Asked]:
@@ -206,8 +204,8 @@ def _equally_good(evidence: Evidence, found: Sequence[Assessment], simpler: Asse
     scale = inflations(evidence, found)
     scores = [j.score(scale) for j in found]
     order = sorted(range(len(found)), key=lambda i: -scores[i])
-    most = found[order[0]].gains(scale)
-    allowed = {c: max(rules.EQUAL, rules.EQUAL_FRACTION * (most[c] - simpler.gains(scale).get(c, 0.0))) for c in most}
+    most, least = found[order[0]].gains(scale), simpler.gains(scale)
+    allowed = {c: max(rules.EQUAL, rules.EQUAL_FRACTION * (gain - least.get(c, 0.0))) for c, gain in most.items()}
 
     def is_equal(j: Assessment) -> bool:
         gains = j.gains(scale)

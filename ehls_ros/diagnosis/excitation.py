@@ -230,7 +230,7 @@ def _shown_from(
             counted = standard.counted(evidence, c, change)
             exceeds = evidence.nrmse(c, standard.beyond(evidence, c, counted)) > form[c]
             relevant |= exceeds and evidence.nrmse(c, counted) >= (1.0 - ROUNDING) * rules.RELEVANT
-            stands_out |= rms(counted) >= (1.0 - ROUNDING) * rules.SHOWN
+            stands_out |= shows([counted], (1.0 - ROUNDING) * rules.SHOWN)
         return information >= (1.0 - ROUNDING) * needed**2 and relevant and stands_out
 
     # From the size that would show if nothing were allowed.

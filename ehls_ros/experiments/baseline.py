@@ -71,7 +71,6 @@ def diagnose_against(
     progress("learning the baselines", 0.0)
     identified = identify_rig(dict(zip(called, baselines, strict=True)), rig, seed=seed)
     wrong = wrong_numbers(rig, identified)
-    draft = is_first_draft(wrong)
     named = list(zip(baselines, called, strict=True))
     progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, identified.rig, what, seed)) for recording, what in named]
@@ -99,9 +98,8 @@ def diagnose_against(
     )
     unknown = (NEW_PROGRAMME,) if new_programme else ()
     all_remarks = (*found.remarks, *identified.remarks, *unknown, *remarks(coverage))
-    return replace(
-        found, baseline=summary, corrected=wrong if draft else {}, remarks=all_remarks, wall_s=time.perf_counter() - began
-    )
+    corrected = wrong if is_first_draft(wrong) else {}
+    return replace(found, baseline=summary, corrected=corrected, remarks=all_remarks, wall_s=time.perf_counter() - began)
 
 
 def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence:
