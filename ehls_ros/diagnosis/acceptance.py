@@ -59,7 +59,7 @@ def _explains(
     # A cause must not gain more by averaging noise than by explaining.
     averaged = more.held_out.averaged - less.held_out.averaged
     # Standard errors tell how sure a size is; a change far beyond what is allowed may be sure, and its size not.
-    sure = max(_surest(more, less), _steadiness(more, less, inflation) if standard.bounds_are_of_chance else 0.0)
+    sure = max(_surest(more, less), _steadiness(more, less, inflation))
     return much and gain >= averaged and sure >= rules.MIN_SIGMAS
 
 
