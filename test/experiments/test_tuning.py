@@ -194,6 +194,15 @@ def test_a_set_is_given_up_when_each_run_or_their_sum_is_worse(errors, held, wor
     assert tuning._worse(found, best, Wanted()) == worse
 
 
+@pytest.mark.parametrize(("error", "worse"), [(12.0, False), (13.0, True)])
+def test_a_set_with_the_margins_asked_for_is_not_given_up_for_up_to_a_quarter_more_error(error, worse):
+    lacking = LoopMargins(5.9, math.inf, 28.0, 0.01)
+    best = Trial({}, 10.0, 10.0, 10.0, 0.0, lacking, (10.0,) * 4)
+    found = Trial({}, 0.0, error, error, 0.0, WIDE, (error,) * 4)
+    assert tuning._worse(found, best, Wanted()) == worse
+    assert tuning._worse(found._replace(margins=lacking), best, Wanted())
+
+
 @pytest.fixture(scope="module")
 def tuned():
     with pytest.MonkeyPatch.context() as patch:

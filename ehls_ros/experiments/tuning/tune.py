@@ -308,10 +308,14 @@ def judged(
 
 
 def _worse(found: Trial, best: Trial, wanted: Wanted) -> bool:
-    """Return whether the runs made show a larger error than the best, with what it lacks: their sum, or each of them."""
-    less = math.exp(best.lacking(wanted) - found.lacking(wanted))
-    each = all(error >= less * other for error, other in zip(found.errors, best.errors, strict=False))
-    return each or found.score(wanted) >= best.score(wanted)
+    """Return whether the runs made show a larger error than the best, with what it lacks: their sum, or each of them.
+
+    Where the best lacks something, numbers that lack nothing may be chosen at more error.
+    """
+    afforded = math.log(AFFORDED) if found.lacking(wanted) == 0.0 < best.lacking(wanted) else 0.0
+    least = math.exp(best.lacking(wanted) - found.lacking(wanted) + afforded)
+    each = all(error >= least * other for error, other in zip(found.errors, best.errors, strict=False))
+    return each or found.score(wanted) >= best.score(wanted) + afforded
 
 
 def without(spec: Spec) -> dict[str, Spec]:
