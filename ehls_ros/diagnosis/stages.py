@@ -42,7 +42,8 @@ from ehls_ros.diagnosis.resolution import command_seen, friction_known, preslidi
 from ehls_ros.diagnosis.windows import Window, integral, local_row, local_slope, smooth_window
 from ehls_ros.duals import linear, value_of, values_of
 from ehls_ros.physics.effects import EFFECTS
-from ehls_ros.physics.imposed_motion import PARTS, run_part
+from ehls_ros.physics.effects.base import MEMORY_STEP
+from ehls_ros.physics.imposed_motion import PARTS, coefficients_read, effects_in, run_part
 from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
 from ehls_ros.physics.imposed_motion.chambers import Chambers
 from ehls_ros.physics.imposed_motion.friction import FrictionInputs
@@ -52,12 +53,6 @@ from ehls_ros.physics.rig import EffectiveRig, EffectUse, Rig, unknown_keys
 from ehls_ros.physics.simulator import OIL_TEMPERATURE, earlier_commands
 from ehls_ros.samples import Mask
 from ehls_ros.trajectory import PRESSURE_A, PRESSURE_B
-
-MEMORY_STEP = 2.5e-4
-"""Longest integration step of an effect's own states and of a separate load [s].
-
-Origin: at twice that, the plays of a hysteresis lag as if by a command delay of 0.13 ms.
-"""
 
 FRICTION_STEP = 1e-3
 """Longest integration step of a friction model [s]."""
@@ -263,7 +258,7 @@ class Comparison:
         """Return the dependencies of each channel's residual; equal dependencies imply equal residuals."""
         whole = rig.effective()
         plant, sensors = whole.plant, whole.sensors
-        hooks = {part: _used(part, whole) and (_used(part, whole), plant) for part in PARTS}
+        hooks = {part: effects_in(part, whole) and _read(part, whole) for part in PARTS}
         spool = (plant.valve_bandwidth, plant.valve_gain, hooks["spool"])
         seen = spool if SPOOL not in self.record else None
         x, v = (sensors.get("position"), hooks["readings"]), sensors.get("velocity")
@@ -308,7 +303,7 @@ class Comparison:
 
     def _taken_up(self, rig: EffectiveRig) -> Any:
         """Return the flow taken up by the piston's motion and the oil's compression, one value a window [m^3/s]."""
-        plant, motion = rig.plant, self.motion(rig)
+        plant, motion = rig.plant, self._measured_motion(rig)
         yielding = plant.total_volume / (4.0 * self.flow_terms(rig)[:, 2])
         return plant.piston_area * self._swept(rig, motion) + self._compressed(yielding, self.pressure(rig))
 
@@ -324,7 +319,7 @@ class Comparison:
 
     def _taken_up_by(self, rig: EffectiveRig, channel: Channel) -> Any:
         """Return the flow taken up by the piston's motion and the compression in a chamber, one value a window [m^3/s]."""
-        p, motion, index = rig.cylinder.parameters, self.motion(rig), BY_CHAMBER.index(channel)
+        p, motion, index = rig.cylinder.parameters, self._measured_motion(rig), BY_CHAMBER.index(channel)
         area, at_zero, hose = (
             (p.area_a, p.volume_a, p.hose_compliance_a),
             (-p.area_b, p.volume_b, p.hose_compliance_b),
@@ -346,7 +341,7 @@ class Comparison:
 
     def _force(self, rig: EffectiveRig) -> Any:
         window, plant = self.setup.window, rig.plant
-        motion = self.motion(rig)
+        motion = self._measured_motion(rig)
         if rig.piston_mass() > 0.0:
             return self._force_of_parted(rig, motion)
         given = self._driving(rig, motion) - self.friction(rig)[:, 0]
@@ -447,17 +442,16 @@ class Comparison:
 
     def relevant_parts(self, rig: EffectiveRig, part: str) -> Any:
         """Return the dependencies of a part's run."""
-        used, sensors = _used(part, rig), tuple(sorted(rig.sensors.items()))
-        return (used, rig.plant if used or part in ("flow", "spool") else None, sensors, _used("readings", rig))
+        return (*_read(part, rig), tuple(sorted(rig.sensors.items())), effects_in("readings", rig))
 
     def _along(self, part: str, rig: EffectiveRig, motion: Motion, steps: int) -> ModelRun:
-        record, history = self.record, earlier_commands(rig, self.record.period) if part == "spool" else 0
+        record, history = self.record, earlier_commands(rig, self.record.period, lasting=True) if part == "spool" else 0
         effects = PARTS[part].effects.parameters(rig.effects)
         return ModelRun(motion, record.fresh, record.period, steps, history, rig.plant, rig.friction, effects)
 
     def _memory_steps(self, part: str, rig: EffectiveRig) -> int:
         """Return the integration steps per sample required by the effects' states; 0 without such states."""
-        longest = min((longest_step(use) for use in _used(part, rig)), default=math.inf)
+        longest = min((longest_step(use) for use in effects_in(part, rig)), default=math.inf)
         return math.ceil(self.record.period / longest) if math.isfinite(longest) else 0
 
     def _run(self, part: str, rig: EffectiveRig, motion: Motion) -> Any:
@@ -523,7 +517,7 @@ class Comparison:
         description = rig.sensors.get(sensor, Sensor())
         raw = self.record.values(SENSED[sensor])
         gain, bias, bandwidth, delay = description.gain, description.bias, description.bandwidth, description.delay
-        misread = _used("readings", rig) if sensor in MISREAD else ()
+        misread = effects_in("readings", rig) if sensor in MISREAD else ()
         if gain == 1.0 and bias == 0.0 and bandwidth == 0.0 and delay == 0.0 and not misread:
             return raw
 
@@ -548,7 +542,7 @@ class Comparison:
         """
 
         def compute() -> Array:
-            used = _used("readings", rig)
+            used = effects_in("readings", rig)
             others = rig._replace(effects=tuple(use for use in rig.effects if use not in used))
             along = self._along("readings", rig, self._measured_motion(others), self._memory_steps("readings", rig))
             along = along._replace(motion=Motion(*map(value_of, along.motion)))
@@ -615,7 +609,7 @@ class Comparison:
         def compute() -> Array:
             steps = self._memory_steps("spool", valve)
             along = self._along("spool", valve, self._measured_motion(valve), steps)
-            fine = run_part("spool", valve, self._finer(along, moved=bool(_used("spool", valve))))[:, 0]
+            fine = run_part("spool", valve, self._finer(along, moved=bool(effects_in("spool", valve))))[:, 0]
             begins, middles, ends = fine[:-2:2], fine[1:-1:2], fine[2::2]
             # Simpson's rule, as the spool is smooth between two steps of the command.
             means = ((begins + 4.0 * middles + ends) / 6.0).reshape(samples - 1, FINER // 2).mean(axis=1)
@@ -635,7 +629,7 @@ class Comparison:
     def _moves(self, rig: EffectiveRig) -> Any:
         """Return the dependencies of the recorded motion."""
         areas = (rig.plant.piston_area, _areas(rig))
-        return tuple((name, rig.sensors.get(name)) for name in SENSED), areas, _used("readings", rig)
+        return tuple((name, rig.sensors.get(name)) for name in SENSED), areas, effects_in("readings", rig)
 
     def _make_motion(self, rig: EffectiveRig) -> Motion:
         record = self.record
@@ -711,10 +705,9 @@ def _remembers(use: EffectUse, hook: str) -> bool:
     return hasattr(EFFECTS.load(use.name), hook) and math.isfinite(longest_step(use))
 
 
-def _used(part: str, rig: EffectiveRig) -> tuple[EffectUse, ...]:
-    """Return the effects of a rig that act in a part."""
-    names = PARTS[part].effects.names
-    return tuple(use for use in rig.effects if use.name in names)
+def _read(part: str, rig: EffectiveRig) -> tuple[Any, ...]:
+    """Return the effects in a part and the plant's coefficients that it reads."""
+    return effects_in(part, rig), tuple(getattr(rig.plant, name) for name in coefficients_read(part, rig))
 
 
 def _areas(rig: EffectiveRig) -> tuple[Any, ...]:

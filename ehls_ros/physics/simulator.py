@@ -299,15 +299,17 @@ def plant_kernel(parts: PlantParts, *, coupled: bool = False) -> ModuleType:
     return compiled(build_coupled if coupled else build, ENTRIES, **parts._asdict())
 
 
-def earlier_commands(rig: Rig | EffectiveRig, period: float) -> int:
+def earlier_commands(rig: Rig | EffectiveRig, period: float, *, lasting: bool = False) -> int:
     """Return the number of past commands that the rig's effects need.
 
     Args:
         rig: the rig.
         period: control period [s].
+        lasting: whether the effects' parameters stay as they are; else they may become any.
     """
-    reach = max((getattr(EFFECTS.load(use.name), "REACH", 0.0) for use in rig.effects), default=0.0)
-    return math.ceil(reach / period)
+    delaying: list[tuple[Any, Any]] = [(EFFECTS.load(use.name), use.parameters) for use in rig.effects]
+    reaches = [e.reach(p) if lasting else e.REACH for e, p in delaying if hasattr(e, "reach")]
+    return math.ceil(max(reaches, default=0.0) / period)
 
 
 class Simulated(NamedTuple):

@@ -44,6 +44,10 @@ def received(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters
     return value * p.received
 
 
+def reach(p: Parameters) -> float:
+    return REACH
+
+
 @kernel
 def jump(t: float, w: Array, p: Parameters) -> float:
     return t + 0.31e-3

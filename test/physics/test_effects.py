@@ -97,7 +97,7 @@ def test_an_effect_acts_somewhere(name):
     assert hasattr(effect, "derivatives") == (getattr(effect, "STATES", 0) > 0)
     if hasattr(effect, "derivatives"):
         assert list(inspect.signature(effect.derivatives.py_func).parameters) == ["u", *HOOK_ARGUMENTS[1:], "dz"]
-    assert hasattr(effect, "received") == hasattr(effect, "jump") == hasattr(effect, "REACH")
+    assert hasattr(effect, "received") == hasattr(effect, "jump") == hasattr(effect, "REACH") == hasattr(effect, "reach")
 
 
 @pytest.mark.parametrize("name", NAMES)

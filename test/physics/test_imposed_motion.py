@@ -4,11 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from rig_runs import PERIOD
+from rig_runs import PERIOD, SINGLE_ROD_RIG
 
+from ehls_ros.experiments.spec import load_rig
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.imposed_motion import PARTS, run_part
 from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
+from ehls_ros.physics.imposed_motion.chambers import Chambers
 from ehls_ros.physics.imposed_motion.friction import FrictionInputs
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import EffectUse
+from ehls_ros.schema import declarations
 
 SAMPLES = 50
 TIME = PERIOD * np.arange(SAMPLES)
@@ -87,3 +93,31 @@ def test_a_start_balances_the_other_forces_as_far_as_it_can(make_rig, balance):
     inputs = FrictionInputs(np.zeros(SAMPLES), np.full(SAMPLES, balance), 1.0)
     force = along("friction", rig, still(), inputs, steps=1)[0, 0]
     assert force == pytest.approx(max(balance, -rig.friction.static_force))
+
+
+@pytest.mark.parametrize("part", [name for name, part in PARTS.items() if part.coefficients != Plant._fields])
+def test_a_part_depends_on_no_other_coefficients_than_it_names(part, make_rig):
+    kind, wave = PARTS[part], np.sin(60.0 * TIME)
+    rig = load_rig(SINGLE_ROD_RIG) if kind.has_chambers else make_rig()
+    effective = rig.effective()
+    motion = still(position=0.01 * wave, velocity=0.1 * wave, pressure=4e6 * wave, spool=2e-4 * wave, command=3e-4 * wave)
+    given = {
+        "friction": FrictionInputs(np.zeros(SAMPLES), np.zeros(SAMPLES), 1.0),
+        "chambers": Chambers(
+            6e6 + 4e6 * wave, 6e6 - 4e6 * wave, 1e7 + wave, True, effective.cylinder.parameters, effective.valve.parameters
+        ),
+    }.get(part)
+
+    def run(use, plant):
+        a = ModelRun(motion, np.arange(SAMPLES) == 0, PERIOD, 4, 60, plant, effective.friction, kind.effects.parameters((use,)))
+        return run_part(part, effective, a, given)
+
+    read = set()
+    for name in kind.effects.names:
+        moved = {d.name: d.default + 1e-3 * (d.maximum - d.default) for d in declarations(EFFECTS.load(name).Parameters)}
+        use = EffectUse(name, EFFECTS.load(name).Parameters(**moved))
+        for field in Plant._fields:
+            changed = effective.plant._replace(**{field: 1.1 * getattr(effective.plant, field)})
+            if not np.array_equal(run(use, changed), run(use, effective.plant)):
+                read.add(field)
+    assert read == set(kind.coefficients)

@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
 from ehls_ros.physics.effects._play import FOLLOW_RATE, clamp, play_output
-from ehls_ros.physics.effects.base import Form
+from ehls_ros.physics.effects.base import MEMORY_STEP, Form
 from ehls_ros.physics.plant import PL, TEMPERATURE, XV, V, X, disturbance_force
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
@@ -40,8 +40,8 @@ WEIGHTS = {
 FACTORS = {"velocity": 1e3, "pressure": 1e-4, "spool": 1e6, "error": 1e7, "load": 1.0}
 """Signals to which a term may be proportional, with the largest size of their weights; units as in :data:`WEIGHTS`."""
 
-ERROR_STEP, MEMORY_STEP = 1e-3, 2.5e-4
-"""Longest integration steps of a valve with a term over the spool's error, and of a term with a memory [s]."""
+ERROR_STEP = 1e-3
+"""Longest integration step of a valve with a term over the spool's error [s]."""
 
 MOST_ARGUMENT = 1e12
 """Size of an argument from which a run counts as diverged."""

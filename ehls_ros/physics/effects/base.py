@@ -53,8 +53,8 @@ needs its states only for some parameters has ``longest_step(parameters)``, whic
 recording [s], infinite where nothing is to be integrated.
 
 The value of ``received`` is constant between jumps; the hook is called at the start of a cycle and after each jump. An effect
-with this hook gives its longest delay in ``REACH`` [s] and has a compiled ``jump(t, w, p)``, which returns the time of the next
-jump after t [s], or infinity.
+with this hook gives its longest delay in ``REACH`` [s] and that of its parameters by ``reach(parameters)``, and has a compiled
+``jump(t, w, p)``, which returns the time of the next jump after t [s], or infinity.
 
 :mod:`ehls_ros.physics.sensitivity` differentiates hooks and shifts. The hooks of an effect may jump where no event is located,
 so that the trajectory has no derivatives. Such an effect has ``corner(parameters, period, varied)``, which returns the reason,
@@ -85,6 +85,12 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from ehls_ros.physics.rig import Rig
+
+MEMORY_STEP = 2.5e-4
+"""Longest integration step of an effect's own states and of a separate load along a recording [s].
+
+Origin: at twice that, the plays of a hysteresis lag as if by a command delay of 0.13 ms.
+"""
 
 HOOKS = (
     "received",

@@ -4,6 +4,7 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.duals import value_of
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import INPUTS, PERIOD, START
@@ -47,6 +48,11 @@ def jump(t: float, w: Array, p: Parameters) -> float:
         return math.inf
     after = left - math.floor(left / w[PERIOD]) * w[PERIOD]
     return t + (after if after > ROUNDING * w[PERIOD] else w[PERIOD])
+
+
+def reach(p: Parameters) -> float:
+    """Return the delay [s]."""
+    return float(value_of(p.delay))
 
 
 def corner(p: Parameters, period: float, varied: bool) -> str:

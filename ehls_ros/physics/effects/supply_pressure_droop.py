@@ -7,8 +7,9 @@ import math
 from typing import Annotated, NamedTuple
 
 from ehls_ros.arrays import Array, kernel
+from ehls_ros.duals import value_of
 from ehls_ros.physics.effects._play import FOLLOW_RATE
-from ehls_ros.physics.effects.base import Form, Group, Words
+from ehls_ros.physics.effects.base import MEMORY_STEP, Form, Group, Words
 from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, XV
 from ehls_ros.physics.rig import Rig
@@ -24,6 +25,8 @@ WORDS = Words(
     change="keep `supply_pressure_droop` under `effects` in the rig file, or record the supply pressure",
 )
 STATES = 1
+LAG_STEP = 0.1
+"""Longest integration step, as a fraction of the lag; a step of fourth order errs by 1e-7 of what decays."""
 NOT_IN_CHAMBERS = ("quadratic", "time_constant")
 
 
@@ -66,6 +69,12 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
     """Write the rate of the loss towards its steady value at the present flow."""
     squared = conductance(y, plant) * drop(plant.supply_pressure - z[0], y)
     dz[0] = (p.resistance * math.sqrt(squared) + p.quadratic * squared - z[0]) / max(p.time_constant, 1.0 / FOLLOW_RATE)
+
+
+def longest_step(parameters: Parameters) -> float:
+    """Return the longest integration step of the lagging loss; an instantaneous one needs none [s]."""
+    lag = parameters.time_constant
+    return max(MEMORY_STEP, LAG_STEP * float(value_of(lag))) if lag > 0.0 else math.inf
 
 
 def shift_chambers(rig: Rig, parameters: Parameters) -> Rig:

@@ -31,13 +31,15 @@ from ehls_ros.arrays import Array
 from ehls_ros.duals import Dual, numbers_of, parameters_of, record_rows, rows_of, value_of, values_of, width_of
 from ehls_ros.physics.composition import Effects, Switched, compiled, effects_with, rig_elements
 from ehls_ros.physics.cylinder import CYLINDERS
+from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.friction import FRICTION_MODELS
 from ehls_ros.physics.imposed_motion import chambers, compiled_part, flow, force, friction, load, readings, spool
 from ehls_ros.physics.imposed_motion.base import ModelRun, Motion
 from ehls_ros.physics.imposed_motion.chambers import Chambers
 from ehls_ros.physics.imposed_motion.friction import FrictionInputs
 from ehls_ros.physics.imposed_motion.load import Piston
-from ehls_ros.physics.rig import EffectiveRig
+from ehls_ros.physics.parameters import Plant
+from ehls_ros.physics.rig import EffectiveRig, EffectUse
 from ehls_ros.physics.valve import VALVES
 
 
@@ -48,6 +50,7 @@ class Part(NamedTuple):
         hooks: the hooks that act in it.
         module: module with the builder.
         columns: number of values it writes per sample.
+        coefficients: names of the plant's coefficients that it reads, with the project's own effects.
         at_once: most parameters that one run of duals differentiates by; more are divided among several runs.
         has_friction: whether it contains a friction model.
         has_chambers: whether it contains a cylinder with two chambers, and its valve.
@@ -56,6 +59,7 @@ class Part(NamedTuple):
     hooks: tuple[str, ...]
     module: ModuleType
     columns: int
+    coefficients: tuple[str, ...] = Plant._fields
     at_once: int = 7
     has_friction: bool = False
     has_chambers: bool = False
@@ -71,16 +75,34 @@ class Part(NamedTuple):
         return width_of(self.at_once, events=self.has_friction)
 
 
+_OIL = (
+    "supply_pressure", "oil_density", "bulk_modulus", "discharge_coefficient", "valve_area_gradient", "leakage_coefficient",
+)  # fmt: skip
+
 PARTS = {
-    "spool": Part(("received", "command"), spool, 1),
-    "flow": Part(("opening", "supply_pressure", "bulk_modulus", "leakage"), flow, 4),
-    "chambers": Part(("opening", "piston_leakage"), chambers, 7, has_chambers=True),
-    "force": Part(("force",), force, 1),
-    "friction": Part(("friction_level",), friction, 1, 14, has_friction=True),
-    "load": Part(("friction_level", "force"), load, 4, 14, has_friction=True),
-    "readings": Part(("position_reading", "pressure_reading", "force_reading"), readings, 3),
+    "spool": Part(("received", "command"), spool, 1, ("valve_bandwidth", "valve_gain")),
+    "flow": Part(("opening", "supply_pressure", "bulk_modulus", "leakage"), flow, 4, _OIL),
+    "chambers": Part(("opening", "piston_leakage"), chambers, 7, _OIL, has_chambers=True),
+    "force": Part(("force",), force, 1, ("moving_mass", "piston_area", "spring_stiffness", "gravity")),
+    "friction": Part(("friction_level",), friction, 1, (), 14, has_friction=True),
+    "load": Part(("friction_level", "force"), load, 4, at_once=14, has_friction=True),
+    "readings": Part(("position_reading", "pressure_reading", "force_reading"), readings, 3, ()),
 }
 """The parts by name."""
+
+_OWN = frozenset(EFFECTS.own_names())
+
+
+def effects_in(name: str, rig: EffectiveRig) -> tuple[EffectUse, ...]:
+    """Return the effects of a rig that act in a part."""
+    among = PARTS[name].effects.names
+    return tuple(use for use in rig.effects if use.name in among)
+
+
+def coefficients_read(name: str, rig: EffectiveRig) -> tuple[str, ...]:
+    """Return the names of the plant's coefficients that a part of a rig reads; an effect of others may read any."""
+    own = all(use.name in _OWN for use in effects_in(name, rig))
+    return PARTS[name].coefficients if own else Plant._fields
 
 
 def parts_along(rig: EffectiveRig) -> tuple[str, ...]:
@@ -140,6 +162,10 @@ def run_part(name: str, rig: EffectiveRig, a: ModelRun, inputs: Inputs = None) -
     Returns:
         Values of shape (n, columns), a dual if any input varies.
     """
+    part, width, read = PARTS[name], PARTS[name].width, coefficients_read(name, rig)
+    # Derivatives that are zero cost as much as any other.
+    without = {field: value_of(value) for field, value in a.plant._asdict().items() if field not in read}
+    a = a._replace(plant=a.plant._replace(**without), friction=a.friction if part.has_friction else values_of(a.friction))
     moving = [getattr(a.motion, signal) for signal in VARIED]
     beside = () if inputs is None else inputs.varied
     varied = parameters_of([*numbers_of(a.plant), *numbers_of(a.friction), a.effects.values, *moving, *beside])
@@ -147,7 +173,6 @@ def run_part(name: str, rig: EffectiveRig, a: ModelRun, inputs: Inputs = None) -
     effects = Switched(a.effects.on, value_of(a.effects.values))
     alone = a._replace(motion=motion, plant=values_of(a.plant), friction=values_of(a.friction), effects=effects)
     given = None if inputs is None else inputs.values_alone
-    part, width = PARTS[name], PARTS[name].width
     shape = len(a.motion.time), part.columns
     if not varied:
         out = np.empty(shape)
@@ -181,9 +206,9 @@ def compile_part(name: str, rig: EffectiveRig, *, duals: bool = False) -> None:
     """
     part, rest = PARTS[name], np.zeros(2)
     none = part.effects.parameters(())
+    varied = Dual(none.values, {0: np.zeros(len(none.values))}) if duals else none.values
     motion = Motion(np.array([0.0, 1.0]), *(rest for _ in Motion._fields[1:]))
-    varied: dict[str, Any] = {"piston_area": Dual(rig.plant.piston_area, {0: 1.0})} if duals else {}
-    a = ModelRun(motion, np.array([True, False]), 1.0, 0, 0, rig.plant._replace(**varied), rig.friction, none)
+    a = ModelRun(motion, np.array([True, False]), 1.0, 0, 0, rig.plant, rig.friction, none._replace(values=varied))
     inputs: dict[str, Inputs] = {
         "friction": FrictionInputs(rest, rest, 1.0),
         "load": Piston(none, 0, 1.0, 1.0),
