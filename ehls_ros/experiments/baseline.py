@@ -45,6 +45,7 @@ def diagnose_against(
     threads: int | None = None,
     progress: Progress = lambda doing, part: None,
     names: Sequence[str] | None = None,
+    identified: RigIdentification | None = None,
 ) -> Diagnosis:
     """Find the changes of a rig since its baselines were recorded.
 
@@ -57,6 +58,7 @@ def diagnose_against(
         threads: number of hypotheses tried in parallel; by default one per processor.
         progress: called with a description of the current step and the completed fraction of the work.
         names: names of the baselines in errors and in the result.
+        identified: the rig identified from the baselines, if that is known.
 
     Returns:
         The diagnosis; ``consistent`` means that nothing has changed.
@@ -69,7 +71,8 @@ def diagnose_against(
         raise BadInput("no baseline is given", name, "at least one recording of the healthy rig")
     called = tuple(names or (f"baseline {i}" for i in range(1, len(baselines) + 1)))
     progress("learning the baselines", 0.0)
-    identified = identify_rig(dict(zip(called, baselines, strict=True)), rig, seed=seed)
+    if identified is None:
+        identified = identify_rig(dict(zip(called, baselines, strict=True)), rig, seed=seed)
     wrong = wrong_numbers(rig, identified)
     named = list(zip(baselines, called, strict=True))
     progress("learning the baselines", 0.5 * LEARNING)

@@ -10,6 +10,7 @@ import yaml
 
 from ehls_ros.diagnosis.monitoring.tracking import COEFFICIENTS, Reading
 from ehls_ros.estimate import Estimate
+from ehls_ros.experiments import baseline
 from ehls_ros.experiments.monitoring import examination
 from ehls_ros.experiments.monitoring.examination import Finding, FoundCause, Task
 from ehls_ros.experiments.monitoring.health import FoundChange, agreed
@@ -102,7 +103,19 @@ def test_the_identified_rig_is_in_the_memory(draft, started):
     state = parse(MonitorState, recorded, "memory")
     kept = state_of(state, origin, None, (), np.zeros((3, 0, 0)))
     assert kept.healthy_rig == monitor.healthy_rig != draft
-    assert kept.identification == monitor.identification
+    assert kept.identification == monitor.identification._replace(whole=None)
+
+
+@pytest.mark.long
+def test_a_change_is_judged_against_the_rig_that_was_identified_first(draft, healthy, started, monkeypatch):
+    monitor, _ = started
+
+    def again(*_, **__):
+        raise AssertionError("the baselines were identified again")
+
+    monkeypatch.setattr(baseline, "identify_rig", again)
+    task = Task(healthy, draft, (healthy,), identified=monitor.identification.whole)
+    assert examination._diagnosed(task, healthy).verdict == "consistent"
 
 
 def test_a_null_that_the_rig_has_may_change_further(rig, monkeypatch):

@@ -14,6 +14,7 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.monitoring.identified import Identification, identify
+from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Form
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -37,6 +38,7 @@ class Task(NamedTuple):
         baselines: recordings of the healthy rig; none: the samples are judged against the rig file.
         preferred: effects to be preferred to equivalent ones, in order of preference.
         identify: recordings from which the rig is identified, by name; none: no identification.
+        identified: the rig identified from the baselines, if that is known.
     """
 
     recording: Trajectory | None
@@ -44,6 +46,7 @@ class Task(NamedTuple):
     baselines: tuple[Trajectory, ...] = ()
     preferred: tuple[str, ...] = ()
     identify: Mapping[str, Trajectory] = {}
+    identified: RigIdentification | None = None
 
     @property
     def length(self) -> float:
@@ -162,7 +165,9 @@ def _with_total(rig: Rig, tracked: Tracked, value: float) -> Rig:
 def _diagnosed(task: Task, recording: Trajectory) -> Finding:
     try:
         if task.baselines:
-            found = diagnose_against(recording, task.baselines, task.rig, "the latest samples", threads=1)
+            found = diagnose_against(
+                recording, task.baselines, task.rig, "the latest samples", threads=1, identified=task.identified
+            )
         else:
             found = diagnose(recording, task.rig, "the latest samples", threads=1)
     except BadInput as error:

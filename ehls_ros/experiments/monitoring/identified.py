@@ -11,6 +11,7 @@ from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.first_draft import wrong_numbers
 from ehls_ros.identification.rig_coefficients import Sizes, coefficients
 from ehls_ros.identification.rig_identifiability import ACCURACY
+from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.identification.whole_rig import identify_rig
 from ehls_ros.physics.rig import Rig
 from ehls_ros.trajectory import Trajectory
@@ -24,12 +25,14 @@ class Identification(NamedTuple):
         wrong: numbers of the given rig that the recordings contradict, by dotted section and name, the least probable first.
         estimates: identified coefficients, by dotted section and name in the rig file; also errors that are not significant.
         why_not: reasons for those not identifiable.
+        whole: the identification itself; None of one that was saved.
     """
 
     rig: Rig
     wrong: Mapping[str, Fitted]
     estimates: Mapping[str, Estimate]
     why_not: Mapping[str, str]
+    whole: RigIdentification | None = None
 
     def tracked(self, model: Rig) -> IdentifiedRig:
         """Return the identification as the tracked coefficients need it, for a model that starts from it.
@@ -71,7 +74,8 @@ def identify(recordings: Mapping[str, Trajectory], rig: Rig) -> Identification |
         found = identify_rig(recordings, rig)
     except BadInput:
         return None
-    return Identification(found.rig, wrong_numbers(rig, found), {**found.absent, **found.estimates}, found.not_identifiable)
+    estimates = {**found.absent, **found.estimates}
+    return Identification(found.rig, wrong_numbers(rig, found), estimates, found.not_identifiable, found)
 
 
 def with_shifts_included(rig: Rig) -> Rig:

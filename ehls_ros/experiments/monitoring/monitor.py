@@ -404,7 +404,8 @@ class Monitor:
         text = f"{self._baseline.quantity(change.quantity)} changed since {onset:.1f} s"
         events.append(Event(now, "noticed", text))
         recording, baselines = self._samples.between(self._examined_from, now), tuple(self._baseline.recordings.values())
-        self._examiner.begin(Task(recording, self.healthy_rig, baselines, self._preferred()))
+        identified = None if self.identification is None else self.identification.whole
+        self._examiner.begin(Task(recording, self.healthy_rig, baselines, self._preferred(), identified=identified))
 
     def _preferred(self) -> tuple[str, ...]:
         """Return the effects preferred to equivalent ones: those named before, and those of the coefficients."""
