@@ -58,8 +58,10 @@ def _explains(
     much = much or (gain >= rules.REMOVED_EXCESS * excess and not standard.form_is_noise)
     # A cause must not gain more by averaging noise than by explaining.
     averaged = more.held_out.averaged - less.held_out.averaged
-    # Standard errors tell how sure a size is; a change far beyond what is allowed may be sure, and its size not.
-    sure = max(_surest(more, less), _steadiness(more, less, inflation))
+    # Standard errors tell how sure a size is; a change far beyond what is allowed may be sure, and its size not. Beside another
+    # cause, the remainder of that one's form gains steadily, too.
+    by_gain = standard.bounds_are_of_chance or not beside
+    sure = max(_surest(more, less), _steadiness(more, less, inflation) if by_gain else 0.0)
     return much and gain >= averaged and sure >= rules.MIN_SIGMAS
 
 
