@@ -78,7 +78,8 @@ def _stands_out(
     if share < rules.WORTHWHILE or relevance(evidence, differences(evidence, more, less)) < needed:
         return False
     # Standard errors include the form of the remainder; significance is therefore judged by the scatter alone.
-    return _surest(assess(replace(evidence, correlation={}), more.fit), less) >= rules.MIN_SIGMAS
+    surest = _surest(assess(replace(evidence, correlation={}), more.fit), less)
+    return max(surest, 0.0 if less.names else _steadiness(more, less, inflation)) >= rules.MIN_SIGMAS
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[Channel, Array]:

@@ -184,14 +184,19 @@ def test_a_sure_cause_with_too_little_gain_is_not_accepted(beyond, taken):
     assert accepted(evidence, more, nothing(evidence), FORCE) is taken
 
 
-@pytest.mark.parametrize(("scatter", "taken"), [(0.2, True), (4.0, False)])
-def test_against_baselines_a_change_of_vague_size_is_sure_if_every_block_gains(scatter, taken):
+@pytest.mark.parametrize(("scatter", "beside", "baselines", "taken"), [
+    (0.2, False, False, True), (4.0, False, False, False), (0.2, True, False, False), (0.2, True, True, True),
+])  # fmt: skip
+def test_a_cause_of_vague_size_is_sure_if_every_block_gains(scatter, beside, baselines, taken):
     evidence = evidence_of({"force": np.full(240, 3.0)})
+    if baselines:
+        evidence = replace(evidence, standard=HealthyVariation({}))
     each = 10.0 * (1.0 + scatter * np.tile([1.0, -1.0], 6))
-    more = assessed((VISCOUS,), {"force": np.full(240, 0.5)}, [1.0], {"force": each}, np.eye(1))
-    assert not explains(evidence, more, nothing(evidence), FORCE)
-    judged = replace(evidence, standard=HealthyVariation({}))
-    assert explains(judged, more, nothing(judged), FORCE) is taken
+    left, first = {"force": np.full(240, 0.5)}, (candidate("coulomb_shift", "offset"),) if beside else ()
+    more = assessed((*first, VISCOUS), left, [1.0] * (1 + beside), {"force": each}, np.eye(1 + beside))
+    # Beside another cause, the remainder of that one's form gains steadily, too.
+    less = assessed(first, evidence.base.values, [1.0], {"force": np.zeros(12)}, np.eye(1)) if beside else nothing(evidence)
+    assert explains(evidence, more, less, FORCE) is taken
 
 
 @pytest.mark.parametrize(("size", "taken"), [(0.8, False), (3.0, True)])
@@ -225,7 +230,8 @@ def test_an_unsure_parameter_is_not_accepted():
     evidence, more, less = with_and_without(np.random.default_rng(3), 3.0)
     for sigmas, taken in ((rules.MIN_SIGMAS + 0.1, True), (rules.MIN_SIGMAS - 0.1, False)):
         covariance = np.array([[(more.fit.values[0] / sigmas) ** 2]])
-        vague = more._replace(held_out=more.held_out._replace(covariance=covariance))
+        gain = np.mean(more.held_out.gain["force"]) * (1.0 + 4.0 * np.resize([1.0, -1.0], evidence.blocks))
+        vague = more._replace(held_out=more.held_out._replace(covariance=covariance, gain={"force": gain}))
         assert accepted(evidence, vague, less, FORCE) is taken
 
 
