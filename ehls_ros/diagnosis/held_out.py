@@ -11,7 +11,7 @@ from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.evidence import Evidence, Residuals, sections
 from ehls_ros.diagnosis.fit import Fit, Worker
-from ehls_ros.diagnosis.hypotheses import Hypothesis, extended, parts
+from ehls_ros.diagnosis.hypotheses import Hypothesis, bounds, extended, parts
 from ehls_ros.diagnosis.loss import inflation, loss, products, weights
 from ehls_ros.diagnosis.stages import Channel
 
@@ -117,7 +117,8 @@ def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assess
     block = np.concatenate([evidence.block[c] for c in channels]) if channels else np.empty(0, dtype=np.intp)
     variances = [inflation(fit.residuals.values[c]) * evidence.correlation.get(c, 1.0) for c in channels]
     scatter = np.repeat(variances, [len(evidence.block[c]) for c in channels])
-    without, covariance = leave_out(fit.jacobian, e, block, evidence.blocks, scatter)
+    room = tuple(limit - fit.values for limit in bounds(fit.hypothesis))
+    without, covariance = leave_out(fit.jacobian, e, block, evidence.blocks, scatter, room)
     averaged: Mapping[Channel, float] = dict.fromkeys(channels, 0.0)
     if worker is not None and channels:
         model = extended(evidence.rig, fit.hypothesis, fit.values)
@@ -133,7 +134,14 @@ def assess(evidence: Evidence, fit: Fit, worker: Worker | None = None) -> Assess
     return Assessment(fit, HeldOut(gain, Residuals(residuals), covariance, saved))
 
 
-def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, scatter: Array) -> tuple[Array, Array]:
+def leave_out(
+    jacobian: Array,
+    e: Array,
+    block: NDArray[np.intp],
+    blocks: int,
+    scatter: Array,
+    room: tuple[Array, ...] = (np.array(-np.inf), np.array(np.inf)),
+) -> tuple[Array, Array]:
     """Return each block's residuals with the parameters fitted to the other blocks, and the parameters' covariance.
 
     The influence of a block is removed to first order, without a further run of the model. The covariance is the larger of
@@ -145,6 +153,7 @@ def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, s
         block: block of each residual, shape (n,).
         blocks: number of blocks.
         scatter: variance of each residual in units of the noise's, shape (n,).
+        room: distances of the parameters from their lower and from their upper bounds, shape (p,); one at a bound stays there.
 
     Returns:
         Residuals, shape (n,), and covariance, shape (p, p).
@@ -161,10 +170,16 @@ def leave_out(jacobian: Array, e: Array, block: NDArray[np.intp], blocks: int, s
             normals[b], gradients[b] = products(j[inside], w[inside], e[inside])
     normal = normals.sum(axis=0)
     without = e.copy()
+    lower, upper = (np.broadcast_to(distance, p) * unit for distance in room)
+    free = np.flatnonzero((lower < 0.0) & (upper > 0.0))
     for b, inside in enumerate(members):
-        if p and np.any(inside):
-            shift = np.linalg.lstsq(normal - normals[b], gradients[b], rcond=HELD_OUT_CUTOFF)[0]
-            without[inside] = e[inside] + j[inside] @ shift
+        if free.size and np.any(inside):
+            left = (normal - normals[b])[np.ix_(free, free)]
+            shift = np.linalg.lstsq(left, gradients[b][free], rcond=HELD_OUT_CUTOFF)[0]
+            # A direction that only this block determines leads to the bounds, far beyond which nothing is linear.
+            reached = np.clip(shift, lower[free], upper[free])
+            part = np.min(np.divide(reached, shift, out=np.ones_like(shift), where=shift != 0.0))
+            without[inside] = e[inside] + j[np.ix_(inside, free)] @ (part * shift)
     if not p:
         return without, np.empty((0, 0))
     inverse = np.linalg.pinv(normal)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from plain_evidence import MASS, candidate, evidence_of, linear_fit, nothing
-from scipy.optimize import minimize
+from scipy.optimize import lsq_linear, minimize
 
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.held_out import leave_out
@@ -41,6 +41,21 @@ def test_a_robust_fit_without_a_block_is_right_to_first_order():
         inside = block == b
         others = minimize(lambda v, out=~inside: float(np.sum(loss((base + j @ v)[out]))), whole, tol=1e-14).x
         np.testing.assert_allclose(without[inside], base[inside] + j[inside] @ others, atol=0.02)
+
+
+def test_a_fit_without_a_block_stays_within_the_bounds():
+    j, base, _, whole, block = linear_case()
+    # The first parameter is at its bound; the second meets one without some blocks.
+    low, high = np.array([-0.3, whole[1] - 1e-4]), np.array([1.0, whole[1] + 1e-4])
+    values = lsq_linear(j, -base, (low, high)).x
+    assert values[0] == pytest.approx(low[0])
+    values[0] = low[0]
+    e = base + j @ values
+    without, _ = leave_out(j, e, block, 6, np.ones(len(e)), (low - values, high - values))
+    moved = [np.linalg.lstsq(j[block == b], (without - e)[block == b], rcond=None)[0] for b in range(6)]
+    for b, shift in enumerate(moved):
+        others = lsq_linear(j[block != b], -base[block != b], (low, high)).x
+        np.testing.assert_allclose(values + shift, others, atol=2e-5)
 
 
 def test_the_gain_is_that_of_each_block():
