@@ -161,7 +161,7 @@ def _stage_results(
 
     def dependence(channel: Channel) -> tuple[str, ...]:
         means = {name: evidence.means(channel, values) for name, values in signals.items()}
-        return depends_on(held_out[channel], means, evidence.block[channel] % 2 == 0)
+        return depends_on(held_out[channel], means, evidence.half(channel))
 
     nrmse = {
         c: Nrmse(evidence.nrmse(c, evidence.base.values[c]), evidence.nrmse(c, held_out[c]), noise[c])

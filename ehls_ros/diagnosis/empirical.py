@@ -16,7 +16,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import explains, most_explained, share_closed
+from ehls_ros.diagnosis.acceptance import differences, explains, most_explained, relevance, share_closed
 from ehls_ros.diagnosis.evidence import Evidence, sections
 from ehls_ros.diagnosis.fit import Fit, Start, Worker
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -159,8 +159,7 @@ def described(pool: Pool, found: Searched, answer: PartialAnswer | None, stage: 
     if answer is not None:
         offer = _beside_answer(evidence, partly, offer)
     scale = inflations(evidence, [offer.more])
-    share = share_closed(evidence, offer.more, offer.base)
-    if not explains(evidence, offer.more, offer.base, scale) or share < _needed(evidence, found, offer, stage):
+    if not explains(evidence, offer.more, offer.base, scale) or not _is_worthwhile(evidence, found, offer, stage):
         return None
     return Described(offer.more, offer.base, _term(evidence, offer), others)
 
@@ -221,17 +220,19 @@ def _simplest(evidence: Evidence, offers: Sequence[_Offer], nothing: Assessment)
     return min(equal, key=lambda offer: (len(offer.more.names), len(offer.more.fit.values)))
 
 
-def _needed(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) -> float:
-    """Return the fraction of the remainder that a term must close.
+def _is_worthwhile(evidence: Evidence, found: Searched, offer: _Offer, stage: Stage) -> bool:
+    """Return whether a term closes enough of the remainder.
 
-    The forms of a model that is none of the rig err in every stage, and each resembles some term: where more remains in other
-    stages, or where form errors count as noise, a term must close nearly all.
+    The forms of a model that is none of the rig err in every stage, and each resembles some term: where form errors count as
+    noise, or more remains in other stages, a term must close nearly all, and there exceed errors of form.
     """
+    share = share_closed(evidence, offer.more, offer.base)
     if evidence.standard.form_is_noise:
-        return rules.CLOSED
+        return share >= rules.CLOSED
     full, with_term = with_allowances(evidence, found._replace(best=offer.more, places=()))
-    elsewhere = any(item.unexplained for item in remainders(full, with_term) if CHANNELS[item.channel] != stage)
-    return rules.CLOSED if elsewhere else rules.WORTHWHILE
+    if not any(item.unexplained for item in remainders(full, with_term) if CHANNELS[item.channel] != stage):
+        return share >= rules.WORTHWHILE
+    return share >= rules.CLOSED and relevance(evidence, differences(evidence, offer.more, offer.base)) >= rules.FORM_ERROR
 
 
 def _as_formula(pool: Pool, offer: _Offer, nothing: Assessment) -> _Offer:

@@ -244,6 +244,11 @@ class Evidence:
         """Return the mean of a signal over each usable window."""
         return self.setup.window_of(channel).mean(values)[self.masks[channel]]
 
+    def half(self, channel: Channel) -> Mask:
+        """Return whether each usable window is in every other block: one half tells what predicts the other."""
+        every_other: Mask = self.block[channel] % 2 == 0
+        return every_other
+
 
 def gather(record: Record, rig: Rig, setup: Setup, seed: int, realisations: int = REALISATIONS) -> Evidence:
     """Compare the given model with a recording and estimate the noise floor.

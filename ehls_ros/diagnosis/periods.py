@@ -29,5 +29,5 @@ def period_left(evidence: Evidence, of: Period) -> float | None:
         if direction is None:
             return None
         target = target * direction
-    number, share = waves_along(partial(evidence.means, channel), values, evidence.block[channel] % 2 == 0).strongest(target)
+    number, share = waves_along(partial(evidence.means, channel), values, evidence.half(channel)).strongest(target)
     return float(np.ptp(values)) / number if share >= rules.DEPENDS else None

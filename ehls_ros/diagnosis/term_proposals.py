@@ -258,7 +258,7 @@ def asked_in(evidence: Evidence, channel: Channel, friction: Callable[[Proposal]
     turning, direction = (0.0, None) if velocity is None else turns(evidence, channel, velocity)
     repeats = any("position" in place.single for place in PLACES[channel].values())
     position = signals.get("position")
-    even = evidence.block[channel] % 2 == 0
+    even = evidence.half(channel)
     waves = waves_along(respond, position, even) if repeats and position is not None and np.ptp(position) > 0.0 else None
     return Asked(evidence, channel, respond, signals, direction, turning, waves, friction)
 
@@ -415,7 +415,7 @@ def _along(asked: Asked, alike: Proposal, target: Array) -> list[Proposal]:
         return []
     evidence, channel = asked.evidence, asked.channel
     values, block = _argument(asked, alike), asked.evidence.block[channel]
-    means, even = evidence.means(channel, values), block % 2 == 0
+    means, even = evidence.means(channel, values), evidence.half(channel)
     low, high = _covered(means, block)
     if not high > low:
         return []
