@@ -269,13 +269,15 @@ class Worker:
             span = np.minimum(np.where(np.isfinite(upper - lower), upper - lower, 1.0), 1e12)
             steps = np.where(values != 0.0, FIRST_STEP * np.abs(values), FIRST_STEP_AT_ZERO * span)
         steps = steps.copy()
+        # Beyond a bound of what is allowed, residuals grow faster: a fit needs the derivatives on the side to which it moves.
+        sides = np.ones(len(values)) if known is None else np.where(values < known.values, -1.0, 1.0)
         norm = float(np.sqrt(sum(np.sum(np.minimum(v * v, MAX_COUNTED)) for v in residuals.values.values())))
         change = max(CHANGE, CHANGE_FRACTION * norm)
         columns, touched = list[Residuals](), set[Channel]()
         for i in range(len(values)):
             column = None if known is None else self._kept_column(known, residuals, i)
             if column is None:
-                column, steps[i] = self._column(hypothesis, values, residuals, i, float(steps[i]), change)
+                column, steps[i] = self._column(hypothesis, values, residuals, i, float(steps[i]), float(sides[i]), change)
             columns.append(column)
             touched.update(c for c in evidence.channels if np.any(column.values[c]))
         channels = tuple(c for c in evidence.channels if c in touched or np.any(residuals.values[c] != evidence.base.values[c]))
@@ -284,7 +286,7 @@ class Worker:
         return Fit(hypothesis, values, channels, residuals, jacobian, total, steps)
 
     def _column(
-        self, hypothesis: Hypothesis, values: Array, residuals: Residuals, index: int, step: float, enough: float
+        self, hypothesis: Hypothesis, values: Array, residuals: Residuals, index: int, step: float, side: float, enough: float
     ) -> tuple[Residuals, float]:
         """Return the derivatives by one parameter, and the step used, which changes the residuals sufficiently."""
         evidence = self.evidence
@@ -292,8 +294,8 @@ class Worker:
         span = upper - lower
         column, change = dict[Channel, Array](), 0.0
         for _ in range(MAX_TRIES):
-            # Away from the nearer bound.
-            signed = step if values[index] + step <= upper else -step
+            # Not beyond a bound.
+            signed = side * step if lower <= values[index] + side * step <= upper else -side * step
             moved = values.copy()
             moved[index] += signed
             other = evidence.residuals(self.comparison, extended(evidence.rig, hypothesis, moved), residuals)

@@ -44,6 +44,17 @@ def test_gauss_newton_finds_a_kink(recorded, rig):
     assert np.all(best.values >= overlap.lower)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_derivatives_are_those_on_the_side_to_which_a_fit_moves(recorded, rig, side):
+    worker, found = worker_of(recorded, rig, {})
+    lag = found["valve_bandwidth_shift", 0]
+    values = np.array([1.2])
+    again = worker.linearise_again(worker.linearise((lag,), values - 0.1 * side), values)
+    there, here = (worker.residuals(extended(worker.evidence.rig, (lag,), v)) for v in (values + side * again.steps, values))
+    quotient = (there.joined(again.channels) - here.joined(again.channels)) / (side * again.steps[0])
+    np.testing.assert_allclose(again.jacobian[:, 0], quotient, rtol=1e-9, atol=1e-9)
+
+
 def test_what_does_not_depend_on_a_change_is_reused(recorded, rig, monkeypatch):
     worker, found = worker_of(recorded, rig, {"spring_rate_shift": {"factor": 1.2}, "valve_hysteresis": {"width": 2e-5}})
     spring, valve = found["spring_rate_shift", 0], found["valve_hysteresis", 0]
