@@ -1,7 +1,7 @@
 """Excitation of each stage: whether the data suffice to show an error in it."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,12 @@ RUNS = 4
 """Most sizes at which an effect that is not smooth at its neutral value is run, until the last two agree.
 
 Origin: numerical; those whose residuals grow like a power of their size need two or three.
+"""
+
+HALVINGS = 4
+"""Halvings, by ratio, of the sizes between which one with a threshold begins to show.
+
+Origin: numerical; a range of a decade is told to 15 %.
 """
 
 POWERS = (0.25, 4.0)
@@ -169,7 +175,8 @@ def beyond_allowances(
         inflation: divisor of each channel's losses.
 
     Returns:
-        The size; None for an effect with a threshold, which does not grow with it.
+        The size; beyond the range of the effect's parameter if none of it shows. None for an effect that shrinks, or
+        begins abruptly or only at the end of that range, such as a limit.
     """
 
     def shown_from(tried: float) -> float:
@@ -190,13 +197,32 @@ def beyond_allowances(
         if shown < GROWTH * tried < GROWTH**2 * shown:
             return shown
         power = _power(before, (tried, shown))
+        if tried == direction.largest:
+            return shown if power > 0.0 else None
         if not POWERS[0] < power < POWERS[1]:
             break
-        size = tried * (shown / tried) ** (1.0 / power)
-        if tried == direction.largest < size:
-            return size
-        before, tried = (tried, shown), min(size, direction.largest)
-    return None
+        before, tried = (tried, shown), min(tried * (shown / tried) ** (1.0 / power), direction.largest)
+    return _beyond_threshold(shown_from, tried, direction.largest)
+
+
+def _beyond_threshold(shown_from: Callable[[float], float], tried: float, largest: float) -> float | None:
+    """Return the size that shows of an effect that does not grow like a power of it; see :func:`beyond_allowances`.
+
+    Args:
+        shown_from: returns the size that would show if the change at a given size were in proportion to it.
+        tried: a size.
+        largest: the end of the range.
+    """
+    shown, at_end = shown_from(tried), shown_from(largest)
+    if shown <= tried or largest / at_end <= tried / shown:
+        return None
+    if at_end > largest:
+        return at_end
+    hidden, seen = tried, largest
+    for _ in range(HALVINGS):
+        middle = math.sqrt(hidden * seen)
+        hidden, seen = (hidden, middle) if shown_from(middle) <= middle else (middle, seen)
+    return seen if seen < largest else None
 
 
 def _power(before: tuple[float, float], now: tuple[float, float]) -> float:
