@@ -198,7 +198,14 @@ def _with(uses: Sequence[EffectUse], changes: Mapping[str, Mapping[str, Any]]) -
     """Return effects with some parameters replaced; one that becomes neutral is left out."""
     added = [EffectUse(name, EFFECTS.load(name).Parameters()) for name in changes if name not in {use.name for use in uses}]
     out = [u._replace(parameters=u.parameters._replace(**changes.get(u.name, {}))) for u in (*uses, *added)]
-    return tuple(u for u in out if u.name not in changes or u.parameters != EFFECTS.load(u.name).Parameters())
+    return tuple(u for u in out if u.name not in changes or not _is_neutral(u))
+
+
+def _is_neutral(use: EffectUse) -> bool:
+    """Return whether an effect does nothing: its size is neutral, whatever its shape."""
+    neutral = EFFECTS.load(use.name).Parameters()
+    of_size = [name for name in neutral._fields if f"effects.{use.name}.{name}" not in SHAPES] or neutral._fields
+    return all(getattr(use.parameters, name) == getattr(neutral, name) for name in of_size)
 
 
 def coefficients(rig: Rig, sizes: Sizes) -> tuple[Coefficient, ...]:

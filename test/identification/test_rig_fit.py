@@ -55,6 +55,16 @@ def recording():
     return rig, Trajectory(made.time, made.columns)
 
 
+def test_an_effect_without_a_size_has_no_shape_either():
+    rig = rig_from_mapping(yaml.safe_load(RIG_FILE.read_text(encoding="utf-8")), "rig")
+    wide = placed(rig, dict(zip(HYSTERESIS, (2e-6, 1.0), strict=True)))
+    assert [use.name for use in wide.effects] == ["valve_hysteresis"]
+    assert placed(wide, {HYSTERESIS[0]: 0.0}).effects == ()
+    second = placed(rig, {SECOND_ORDER[0]: 300.0})
+    assert [use.name for use in second.effects] == ["valve_second_order"]
+    assert placed(second, {SECOND_ORDER[0]: 0.0}).effects == ()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("missing", "order"), [("", {}), ("spool_m", SECOND)], ids=["first order", "second order, no spool"])
 def test_the_derivatives_are_those_of_central_differences(recording, missing, order):
