@@ -308,7 +308,7 @@ def earlier_commands(rig: Rig | EffectiveRig, period: float, *, lasting: bool = 
         lasting: whether the effects' parameters stay as they are; else they may become any.
     """
     delaying: list[tuple[Any, Any]] = [(EFFECTS.load(use.name), use.parameters) for use in rig.effects]
-    reaches = [e.reach(p) if lasting else e.REACH for e, p in delaying if hasattr(e, "reach")]
+    reaches = [e.reach(p) if lasting else e.REACH for e, p in delaying if hasattr(e, "REACH")]
     return math.ceil(max(reaches, default=0.0) / period)
 
 
