@@ -199,21 +199,23 @@ def beyond_allowances(
         power = _power(before, (tried, shown))
         if tried == direction.largest:
             return shown if power > 0.0 else None
+        before = tried, shown
         if not POWERS[0] < power < POWERS[1]:
             break
-        before, tried = (tried, shown), min(tried * (shown / tried) ** (1.0 / power), direction.largest)
-    return _beyond_threshold(shown_from, tried, direction.largest)
+        tried = min(tried * (shown / tried) ** (1.0 / power), direction.largest)
+    return _beyond_threshold(shown_from, *before, direction.largest)
 
 
-def _beyond_threshold(shown_from: Callable[[float], float], tried: float, largest: float) -> float | None:
+def _beyond_threshold(shown_from: Callable[[float], float], tried: float, shown: float, largest: float) -> float | None:
     """Return the size that shows of an effect that does not grow like a power of it; see :func:`beyond_allowances`.
 
     Args:
         shown_from: returns the size that would show if the change at a given size were in proportion to it.
         tried: a size.
+        shown: the size that would show if the change at that one were in proportion to it.
         largest: the end of the range.
     """
-    shown, at_end = shown_from(tried), shown_from(largest)
+    at_end = shown_from(largest)
     if shown <= tried or largest / at_end <= tried / shown:
         return None
     if at_end > largest:

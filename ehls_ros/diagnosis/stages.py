@@ -259,7 +259,7 @@ class Comparison:
         whole = rig.effective()
         plant, sensors = whole.plant, whole.sensors
         hooks = {part: effects_in(part, whole) and _read(part, whole) for part in PARTS}
-        spool = (plant.valve_bandwidth, plant.valve_gain, hooks["spool"])
+        spool = _read("spool", whole)
         seen = spool if SPOOL not in self.record else None
         x, v = (sensors.get("position"), hooks["readings"]), sensors.get("velocity")
         cell = (sensors.get("force"), hooks["readings"])
@@ -269,13 +269,13 @@ class Comparison:
         # Where its sensor is missing, the supply pressure follows from the flow through all edges.
         supply = (sensors.get("supply_pressure"),) if SUPPLY in self.record else (_supply(whole), *sides.values())
         valve = (plant.supply_pressure, plant.oil_density, plant.discharge_coefficient, plant.valve_area_gradient)
-        flow = (*valve, plant.bulk_modulus, plant.total_volume, plant.piston_area, plant.leakage_coefficient)
+        oil = (plant.total_volume, plant.piston_area)
         spool_sensor = sensors.get("spool_position")
         moved = (x, v, p, spool_sensor)
         return {
             "spool": (spool, spool_sensor, moved if hooks["spool"] else None),
-            "volume": (flow, hooks["flow"], seen, moved),
-            **{c: (flow, hooks["chambers"], seen, moved, used, supply) for c, used in sides.items()},
+            "volume": (_read("flow", whole), oil, seen, moved),
+            **{c: (_read("chambers", whole), oil, seen, moved, used, supply) for c, used in sides.items()},
             "supply": (
                 valve,
                 hooks["flow"],
