@@ -90,7 +90,7 @@ def causes(evidence: Evidence, found: Searched, seed: int, right: float = 1.0, l
                 share=_share(evidence, best, place.without, main),
                 deciding=tuple(dict.fromkeys(signal for signals in equivalent.values() for signal in signals)),
                 side=side_of(
-                    EFFECTS.load(candidate.name), candidate.use(best.fit.values[parts(best.hypothesis)[index]]).parameters
+                    EFFECTS.load(candidate.name), candidate.use(best.values[parts(best.hypothesis)[index]]).parameters
                 ),
             )
         )
@@ -158,7 +158,7 @@ def _other_effects(best: Assessment, place: Place, scale: Mapping[Channel, float
 def _estimates(assessed: Assessment, index: int) -> dict[str, Estimate]:
     part, candidate = parts(assessed.hypothesis)[index], assessed.hypothesis[index]
     deviation = np.sqrt(np.maximum(np.diag(assessed.held_out.covariance)[part], 0.0))
-    used = candidate.use(assessed.fit.values[part]).parameters._asdict()
+    used = candidate.use(assessed.values[part]).parameters._asdict()
     return {
         name: estimate(float(used[name]), float(candidate.neutral[i]), float(deviation[i]), candidate.units[i])
         for i, name in enumerate(candidate.free)

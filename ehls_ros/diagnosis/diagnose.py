@@ -99,7 +99,7 @@ def diagnose(
     if term is not None:
         known, with_term = with_allowances(evidence, found._replace(best=term.best, places=()))
         best = with_term.best
-    model = extended(rig, best.hypothesis, best.fit.values)
+    model = extended(rig, best.hypothesis, best.values)
     names, more = verdict in NAMING, verdict in NAMING or term is not None
     signals = signals_along(evidence.comparison(), model)
     allowances = allowed_for(known, best.held_out.residuals.values)

@@ -40,10 +40,22 @@ class HeldOut(NamedTuple):
 
 
 class Assessment(NamedTuple):
-    """A fitted hypothesis and its performance on held-out data."""
+    """A fitted hypothesis and its performance on held-out data.
+
+    Attributes:
+        fit: the fit.
+        held_out: its performance.
+        corrected: its parameters corrected for noise (:mod:`ehls_ros.diagnosis.attenuation`), shape (p,); None if they are not.
+    """
 
     fit: Fit
     held_out: HeldOut
+    corrected: Array | None = None
+
+    @property
+    def values(self) -> Array:
+        """The parameters' estimates, shape (p,)."""
+        return self.fit.values if self.corrected is None else self.corrected
 
     @property
     def hypothesis(self) -> Hypothesis:

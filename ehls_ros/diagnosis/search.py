@@ -12,6 +12,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.acceptance import accepted, explains, is_new, within_form
+from ehls_ros.diagnosis.attenuation import corrected
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
 from ehls_ros.diagnosis.held_out import Assessment, assess
@@ -99,18 +100,17 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
     always = None if best.names else explaining(evidence, base, level, scale)
     best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
-    bounded = evidence.standard.bounds_are_of_chance and any(allowed.is_bounded for allowed in evidence.allowed.values())
-    if bounded and best.names:
-        best = _without_bounds(evidence, best)
+    if best.names:
+        best = _estimated(evidence, best)
     progress("causes together", 1.0)
     return Searched(best, places, tuple(starts.alone), scale, always)
 
 
-def _without_bounds(evidence: Evidence, best: Assessment) -> Assessment:
-    """Return a hypothesis at its optimum without bounds of the allowed variation, with the standard errors there.
+def _estimated(evidence: Evidence, best: Assessment) -> Assessment:
+    """Return a hypothesis at its optimum without bounds of the allowed variation, with estimates and standard errors there.
 
     At a bound, the slope of the loss changes by orders of magnitude: a fit stops there, and difference quotients across the
-    bound make a size seem surer than the variation allows.
+    bound make a size seem surer than the variation allows. The estimates are corrected for noise.
     """
     free = Worker(evidence.unbounded())
     start = free.linearise(best.hypothesis, best.fit.values, best.fit.steps)
@@ -119,9 +119,9 @@ def _without_bounds(evidence: Evidence, best: Assessment) -> Assessment:
     again = bounded.linearise(best.hypothesis, fit.values, best.fit.steps)
     if again.loss > best.fit.loss + again.negligible(best.fit.loss, len(again.residuals.joined(again.channels))):
         again, fit = best.fit, start
-    covariance = assess(free.evidence, fit).held_out.covariance
+    values, covariance = corrected(free.evidence, fit, assess(free.evidence, fit).held_out.covariance)
     found = assess(evidence, again, bounded)
-    return found._replace(held_out=found.held_out._replace(covariance=covariance))
+    return found._replace(held_out=found.held_out._replace(covariance=covariance), corrected=values)
 
 
 def given_model(evidence: Evidence) -> Assessment:

@@ -1,11 +1,4 @@
-"""Correction of a fit for the noise of the signals in its derivatives.
-
-Noise in a signal that multiplies a coefficient attenuates it: a mass on a noisy acceleration comes out too small, however long
-the recording. To the recording, noise of the sensors' level is added and, in turn, subtracted. The mean of both changes of the
-normal equations is of second order in the noise, as their bias by the noise that was recorded; it is subtracted from them
-(corrected score: Nakamura, Biometrika 77, 1990; for a linear model the moment estimator of Fuller, Measurement Error Models,
-1987, ch. 2).
-"""
+"""Correction of a fitted rig for the noise of the signals (:mod:`ehls_ros.diagnosis.attenuation`)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,12 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.attenuation import LEVEL_ERROR, REALISATIONS, limited, noise_part
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.identification.rig_coefficients import model_at
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
-
-REALISATIONS = 3
-"""Realisations of the added noise."""
 
 STEPS = 3
 """Newton steps to the solution of the corrected equations."""
@@ -29,12 +20,6 @@ NEGLIGIBLE = 1e-3
 
 LONGEST_STEP = 0.5
 """Largest change of a coordinate in one step."""
-
-SHARES = (-1.0, 0.8)
-"""Least and largest share of the information on any combination of coefficients that is attributed to noise."""
-
-LEVEL_ERROR = 0.15
-"""Relative error of the noise's power as estimated from the recording; it is uncertain by its colour."""
 
 
 class Corrected(NamedTuple):
@@ -92,7 +77,7 @@ def gain(now: RigFit, noisy: Sequence[Stack], doubtful: int = 0) -> Array:
     _, lost, information = _equations(now, noisy)
     lost[:doubtful] = lost[:, :doubtful] = 0.0
     # What is left of a limited matrix may be beyond the limits again.
-    lost = _limited(lost, information)
+    lost = limited(lost, information)
     return np.asarray(np.linalg.solve(information - lost, information), dtype=np.float64)
 
 
@@ -117,15 +102,9 @@ def with_added_noise(stack: Stack) -> tuple[Stack, ...]:
 
 def _equations(now: RigFit, noisy: Sequence[Stack]) -> tuple[Array, Array, Array]:
     """Return the parts of score (p,) and information (p, p) that noise produces, and the information with that of the guess."""
-    weight = weights(now.e)[:, np.newaxis]
-    own = now.jacobian.T @ (weight * now.jacobian)
-    pull, lost = -(now.jacobian.T @ (weight[:, 0] * now.e)), -own
-    for stack in noisy:
-        e, jacobian = _at(stack, now)
-        pull += jacobian.T @ (weight[:, 0] * e) / len(noisy)
-        lost += jacobian.T @ (weight * jacobian) / len(noisy)
-    information = own + np.eye(len(now.chosen))
-    return pull, _limited(lost, information), information
+    information = now.jacobian.T @ (weights(now.e)[:, np.newaxis] * now.jacobian) + np.eye(len(now.chosen))
+    part = noise_part(now.e, now.jacobian, (_at(stack, now) for stack in noisy), information)
+    return np.mean(part.pulls, axis=0), part.lost, information
 
 
 def _at(stack: Stack, now: RigFit) -> tuple[Array, Array]:
@@ -133,12 +112,3 @@ def _at(stack: Stack, now: RigFit) -> tuple[Array, Array]:
     at = fit(stack, now.rig, now.chosen, tuple(stack.channels[i] for i in np.unique(stack.channel[now.rows])), iterations=0)
     rescaled = at.scales / now.scales
     return at.e * rescaled, at.jacobian * rescaled[:, np.newaxis]
-
-
-def _limited(lost: Array, information: Array) -> Array:
-    """Return the information of noise, with its share in every combination of coefficients within :data:`SHARES`."""
-    root = np.linalg.cholesky(information)
-    inverse = np.linalg.inv(root)
-    shares, vectors = np.linalg.eigh(inverse @ lost @ inverse.T)
-    turned = root @ vectors
-    return np.asarray((turned * np.clip(shares, *SHARES)) @ turned.T, dtype=np.float64)
