@@ -38,7 +38,7 @@ class NoisePart(NamedTuple):
 
     Attributes:
         pulls: of their score, by pair of realisations, shape (pairs, p).
-        lost: of their information, its share in every combination of parameters within :data:`SHARES`, shape (p, p).
+        lost: of their information, shape (p, p); shares beyond :data:`SHARES` are reduced to these in both.
     """
 
     pulls: Array
@@ -61,17 +61,29 @@ def noise_part(e: Array, jacobian: Array, noisy: Iterable[tuple[Array, Array]], 
         scores.append(slopes.T @ (weight * more) - score)
         informations.append(slopes.T @ (weight[:, np.newaxis] * slopes) - own)
     pulls = np.mean(np.reshape(scores, (-1, 2, len(own))), axis=1)
-    lost = np.mean(informations, axis=0)
-    return NoisePart(pulls, limited(lost, information))
+    basis, shares = _shares(np.mean(informations, axis=0), information)
+    within = np.clip(shares, *SHARES)
+    # Of a derivative that diverges with the noise, the pull is no more to be believed than the information.
+    believed = np.divide(within, shares, out=np.ones_like(shares), where=shares != 0.0)
+    return NoisePart(np.linalg.solve(basis, pulls.T).T * believed @ basis.T, (basis * within) @ basis.T)
 
 
 def limited(lost: Array, information: Array) -> Array:
     """Return the information of noise, with its share in every combination of parameters within :data:`SHARES`."""
+    basis, shares = _shares(lost, information)
+    return np.asarray((basis * np.clip(shares, *SHARES)) @ basis.T, dtype=np.float64)
+
+
+def _shares(lost: Array, information: Array) -> tuple[Array, Array]:
+    """Return the combinations of parameters in which noise's information is independent, and its shares of all of it.
+
+    Returns:
+        Basis B with information = B Bᵀ and lost = B diag(shares) Bᵀ, shape (p, p), and the shares, shape (p,).
+    """
     root = np.linalg.cholesky(information)
     inverse = np.linalg.inv(root)
     shares, vectors = np.linalg.eigh(inverse @ lost @ inverse.T)
-    turned = root @ vectors
-    return np.asarray((turned * np.clip(shares, *SHARES)) @ turned.T, dtype=np.float64)
+    return root @ vectors, shares
 
 
 class Corrected(NamedTuple):

@@ -73,7 +73,7 @@ class Standard:
     """Whether only acceptable hypotheses compete for a cause's place."""
 
     bounds_are_of_chance = False
-    """Whether the bounds of allowed variation only tell a change from chance; the size of a change does not depend on them."""
+    """Whether the bounds of allowed variation only tell a change from chance, beyond which it gains steadily."""
 
     def judged(self, evidence: "Evidence") -> "Evidence":
         """Return evidence, so far without allowances, judged by this standard."""

@@ -236,13 +236,14 @@ class ChannelRemainder(NamedTuple):
     def expected(self, new: Windows) -> Expected:
         """Return the expected remainder of a healthy rig in windows of another recording.
 
-        Errors of form cannot be extrapolated. Outside the baselines their uncertainty grows with the distance, and becomes
-        infinite far away.
+        Errors of form cannot be extrapolated. Outside the baselines their uncertainty grows with the distance, by as much as is
+        relevant over half the range even if no error shows inside, and becomes infinite far away.
         """
         away = self.distance(new)
         growth = np.clip(away, 1.0, rules.MAX_EXTRAPOLATION)
         found = self.learnt.expected(new.terms, new.signals, new.factor, growth)
-        return found._replace(variance=np.where(away > rules.MAX_EXTRAPOLATION, np.inf, found.variance))
+        variance = found.variance + (rules.RELEVANT * (growth - 1.0)) ** 2
+        return found._replace(variance=np.where(away > rules.MAX_EXTRAPOLATION, np.inf, variance))
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ class Assessment(NamedTuple):
         the best-determined size of its yielding.
         """
         part = parts(self.hypothesis)[index]
-        away, covariance = self.fit.values[part] - self.hypothesis[index].neutral, self.held_out.covariance[part, part]
+        away, covariance = self.values[part] - self.hypothesis[index].neutral, self.held_out.covariance[part, part]
         # A parameter without effect has no variance, or a negative one by rounding.
         deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         known = (deviation > 0.0) & np.isfinite(deviation)
@@ -83,7 +83,7 @@ class Assessment(NamedTuple):
         away = away[known] / deviation[known]
         correlation = covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
         distance = math.sqrt(max(float(away @ np.linalg.pinv(correlation, hermitian=True) @ away), 0.0))
-        yields = [abs(self.fit.values[part][i]) / deviation[i] for i in self.hypothesis[index].yielding if known[i]]
+        yields = [abs(self.values[part][i]) / deviation[i] for i in self.hypothesis[index].yielding if known[i]]
         return min(distance, max(yields, default=math.inf))
 
     def per_block(self, inflation: Mapping[Channel, float]) -> Array:

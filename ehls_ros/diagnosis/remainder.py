@@ -58,8 +58,9 @@ class Relevance(NamedTuple):
         noise: mean square due to noise.
         rare: square of rare residuals due to noise.
         limit: relevant rms whitened residual beyond the noise.
-        clear: mean square that is relevant even if small beside the largest term, or from one block only.
+        clear: mean square that is relevant even if small beside the largest term.
         scatter: multiple of the noise power that noise alone may reach.
+        once: whether such a mean square is relevant even if from one block only.
     """
 
     noise: float
@@ -67,6 +68,7 @@ class Relevance(NamedTuple):
     limit: float
     clear: float = math.inf
     scatter: float = rules.SCATTER
+    once: bool = True
 
     def exceeded(self, e: Array) -> bool:
         """Return whether whitened residuals exceed the noise by a relevant amount."""
@@ -77,7 +79,8 @@ class Relevance(NamedTuple):
 
     def recurs(self, e: Array, blocks: Blocks) -> bool:
         """Return whether the residual exceeds the noise in several blocks, or in one by too much for an incident."""
-        return self.exceeded(blocks.elsewhere(e)) or power(e) > self.clear
+        elsewhere = blocks.elsewhere(e)
+        return self.exceeded(elsewhere) or power(e if self.once else elsewhere) > self.clear
 
 
 class Remainder(NamedTuple):
@@ -235,7 +238,9 @@ def relevance_in(evidence: Evidence, channel: Channel, *, alone: bool = False) -
     scatter = evidence.standard.scatter(len(evidence.floor[channel]) / evidence.correlation.get(channel, 1.0))
     rare = evidence.standard.rare_square(channel, noise)
     clear = scatter * noise + max(rules.CLEAR**2 * noise, limit**2 if least > rules.RELEVANT_BESIDE else 0.0)
-    return Relevance(noise, rare, limit, clear if alone else math.inf, scatter)
+    # An error of form may concentrate in one block: friction sticks once, where its elements' state decides.
+    once = not evidence.standard.form_is_noise
+    return Relevance(noise, rare, limit, clear if alone else math.inf, scatter, once)
 
 
 def imitated_channels(evidence: Evidence, found: Searched) -> frozenset[Channel]:

@@ -25,6 +25,9 @@ from ehls_ros.diagnosis.starts import FITTED, PROMISING, Starts, leading
 MAX_CAUSES = 3
 """Most causes that are sought together."""
 
+TOLD_SIGMAS = 2.0
+"""Standard errors of its estimate by which a cause must differ from none to be told."""
+
 BEAM = 3
 """Hypotheses carried on to the next number of causes."""
 
@@ -98,12 +101,28 @@ def search(starts: Starts, progress: Progress, begin: Fit | None = None) -> Sear
         evidence = replace(evidence, standard=lenient)
         best, scale = _added(evidence, pool, starts, base, level, progress)
     always = None if best.names else explaining(evidence, base, level, scale)
-    best, places = _exchanged(evidence, pool, best, starts, Place(base, tuple(level)), scale)
+    best, places = _told(evidence, pool, best, starts, Place(base, tuple(level)), scale)
     scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
-    if best.names:
-        best = _estimated(evidence, best)
     progress("causes together", 1.0)
     return Searched(best, places, tuple(starts.alone), scale, always)
+
+
+def _told(
+    evidence: Evidence, pool: Pool, best: Assessment, starts: Starts, alone: Place, scale: Mapping[Channel, float]
+) -> tuple[Assessment, tuple[Place, ...]]:
+    """Return a hypothesis with each cause exchanged or dropped as long as that is better, its estimates, and its places.
+
+    A cause whose size no estimate tells from none is dropped: what it closes repeats too little.
+    """
+    best, places = _exchanged(evidence, pool, best, starts, alone, scale)
+    while places:
+        estimates = _estimated(evidence, best)
+        kept = len(best.hypothesis) - len(places)
+        vague = [i for i in range(len(places)) if estimates.sigmas(kept + i) < TOLD_SIGMAS]
+        if not vague:
+            return estimates, places
+        best, places = _exchanged(evidence, pool, places[vague[0]].without, starts, alone, scale)
+    return best, places
 
 
 def _estimated(evidence: Evidence, best: Assessment) -> Assessment:

@@ -3,11 +3,13 @@
 from typing import Annotated, NamedTuple
 
 from ehls_ros.physics.effects.base import Form, Group, Words
-from ehls_ros.physics.rig import Rig
+from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "mechanics"
-EQUATION = "ks -> ks + added, at least 0"
+EQUATION = (
+    "ks -> ks + added, at least 0; the force of `constant_load`, which a mounted spring's zero gives, grows by added × zero"
+)
 SOURCE = "Kang et al. 2018, (3)"
 WORDS = Words(
     "the stiffness of the spring",
@@ -22,14 +24,31 @@ class Parameters(NamedTuple):
     """Change of the stiffness."""
 
     added: Annotated[float, quantity("N/m", "added to the spring's stiffness", minimum=-1e8, maximum=1e8)] = 0.0
+    zero: Annotated[float, quantity("m", "position at which the spring is free", minimum=-10.0, maximum=10.0)] = 0.0
 
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the stiffness shifted."""
     stiffness = max(rig.plant.spring_stiffness + parameters.added, 0.0)
-    return rig.with_plant(spring_stiffness=stiffness)
+    rig = rig.with_plant(spring_stiffness=stiffness)
+    preload = preload_of(rig)
+    if parameters.zero == 0.0 or preload is None:
+        return rig
+    more = preload._replace(
+        parameters=preload.parameters._replace(force=preload.parameters.force + parameters.added * parameters.zero)
+    )
+    return rig._replace(effects=tuple(more if use is preload else use for use in rig.effects))
+
+
+def preload_of(rig: Rig) -> EffectUse | None:
+    """Return the constant load of a rig, which holds the force of its spring at zero; None if it has none."""
+    return next((use for use in rig.effects if use.name == "constant_load"), None)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The added stiffness."""
-    return (Form({"added": ()}),)
+    """The added stiffness about the middle, and about the zero of a spring whose preload is the rig's constant load."""
+    about_middle = Form({"added": ()})
+    stiffness, preload = rig.plant.spring_stiffness, preload_of(rig)
+    if preload is None or not stiffness > 0.0:
+        return (about_middle,)
+    return (about_middle, Form({"added": ()}, {"zero": preload.parameters.force / stiffness}))
