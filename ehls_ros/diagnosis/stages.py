@@ -163,6 +163,9 @@ The balances resolve nothing faster. Setting the piston directly to its measured
 noise, times the stiffness of a contact, on to the load; the pressure gives that force far more accurately.
 """
 
+LOADS = frozenset({FORCE, PRESSURE, PRESSURE_A, PRESSURE_B})
+"""Signals of which the load cell's residual is formed."""
+
 SENSED = {
     "position": POSITION,
     "velocity": VELOCITY,
@@ -377,7 +380,30 @@ class Comparison:
         return self._keep("driving", (_beam(rig), self.relevant_parts(rig, "force")), compute)
 
     def _cell(self, rig: EffectiveRig) -> Any:
-        return self.setup.average.mean(self.corrected(rig, "force") - rig.plant.piston_area * self.pressure(rig))
+        left = self.corrected(rig, "force") - rig.plant.piston_area * self.pressure(rig)
+        bandwidths = [
+            value_of(s.bandwidth) for n, s in rig.sensors.items() if SENSED.get(n) in LOADS & self.record.signals.keys()
+        ]
+        slowest = min((bandwidth for bandwidth in bandwidths if bandwidth > 0.0), default=0.0)
+        return self.setup.average.mean(linear(lambda signal: self._slowed(signal, slowest), left) if slowest > 0.0 else left)
+
+    def _slowed(self, values: Array, bandwidth: float) -> Array:
+        """Return a signal behind the lag of a sensor, shape (n,): its noise, amplified by correction of the lag, is as before.
+
+        Args:
+            values: the signal, linear between its samples, shape (n,).
+            bandwidth: of the sensor [rad/s].
+        """
+        a = math.exp(-bandwidth * self.record.period)
+        mean = (1.0 - a) / (bandwidth * self.record.period)
+        weights = (1.0 - mean, mean - a)
+
+        def slow(part: Array) -> Array:
+            before = [weights[1] * part[0] + a * part[0]]
+            slowed, _ = scipy.signal.lfilter(weights, (1.0, -a), part, zi=before)
+            return np.asarray(slowed, dtype=np.float64)
+
+        return self.record.by_stretch(slow, values)
 
     def _velocity(self, rig: EffectiveRig) -> Any:
         window = self.setup.window
