@@ -20,7 +20,7 @@ from ehls_ros.diagnosis.loss import weights
 from ehls_ros.diagnosis.noise import deviations, with_noise
 from ehls_ros.diagnosis.stages import Channel, Comparison
 
-REALISATIONS = 3
+ADDED_REALISATIONS = 3
 """Realisations of the added noise."""
 
 SHARES = (-1.0, 0.8)
@@ -132,7 +132,7 @@ def corrected(evidence: Evidence, fit: Fit, covariance: Array) -> Corrected:
 def _noisy(evidence: Evidence, fit: Fit) -> Iterator[tuple[Array, Array]]:
     """Yield residuals and derivatives of a fit with noise of the sensors' level added and, in turn, subtracted."""
     levels = deviations(evidence.record)
-    for seed in range(REALISATIONS):
+    for seed in range(ADDED_REALISATIONS):
         for sign in (1.0, -1.0):
             record = with_noise(
                 evidence.record, {name: sign * level for name, level in levels.items()}, np.random.default_rng(seed)

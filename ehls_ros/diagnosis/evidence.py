@@ -121,6 +121,16 @@ class Standard:
         """Return the residuals of the given model in which a first cause's share is closed, whitened like ``after``."""
         return before
 
+    def sizes_by_chance(self, hypothesis: Hypothesis, values: Array, steps: Array) -> Array:
+        """Return the covariance of a hypothesis' parameters as fault-free recordings tell them, shape (p, p).
+
+        Args:
+            hypothesis: the causes.
+            values: of their free parameters, shape (p,).
+            steps: of the difference quotients, shape (p,).
+        """
+        return np.zeros((len(values), len(values)))
+
     def allows(self, hypothesis: Hypothesis, values: Array, inflation: Mapping[Channel, float]) -> bool:
         """Return whether a cause may have been present all along.
 

@@ -14,6 +14,7 @@ from ehls_ros.diagnosis.coefficients import SCALE, Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
 from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing, part_of
+from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.hypotheses import Hypothesis, extended
 from ehls_ros.diagnosis.loss import loss, power, rms
 from ehls_ros.diagnosis.measurement import measurement
@@ -351,6 +352,24 @@ class HealthyVariation(Standard):
         however large the change. The remainder of another cause is mostly spread; there only the excess counts.
         """
         return evidence.whole(channel, before) - (evidence.whole(channel, after) - after)
+
+    def sizes_by_chance(self, hypothesis: Hypothesis, values: Array, steps: Array) -> Array:
+        """Return the mean square of the parameters by which each baseline's remainder would be explained, shape (p, p).
+
+        Errors of the rig's form last, and pass for a size as well as the cause they resemble; no scatter in the new recording
+        shows them.
+        """
+        sizes = []
+        for healthy in self.healthy:
+            evidence = healthy.unbounded()
+            there = Worker(evidence).linearise(hypothesis, values, steps)
+            if there.channels:
+                sizes.append(np.linalg.lstsq(there.jacobian, evidence.base.joined(there.channels), rcond=None)[0])
+        return (
+            np.mean([np.outer(size, size) for size in sizes], axis=0)
+            if sizes
+            else super().sizes_by_chance(hypothesis, values, steps)
+        )
 
     def allows(self, hypothesis: Hypothesis, values: Array, inflation: Mapping[Channel, float]) -> bool:
         """Return whether a cause fits the baselines as well."""

@@ -139,6 +139,8 @@ def _estimated(evidence: Evidence, best: Assessment) -> Assessment:
     if again.loss > best.fit.loss + again.negligible(best.fit.loss, len(again.residuals.joined(again.channels))):
         again, fit = best.fit, start
     values, covariance = corrected(free.evidence, fit, assess(free.evidence, fit).held_out.covariance)
+    if not fit.costly:
+        covariance = covariance + evidence.standard.sizes_by_chance(fit.hypothesis, fit.values, fit.steps)
     found = assess(evidence, again, bounded)
     return found._replace(held_out=found.held_out._replace(covariance=covariance), corrected=values)
 

@@ -381,9 +381,8 @@ class Comparison:
 
     def _cell(self, rig: EffectiveRig) -> Any:
         left = self.corrected(rig, "force") - rig.plant.piston_area * self.pressure(rig)
-        bandwidths = [
-            value_of(s.bandwidth) for n, s in rig.sensors.items() if SENSED.get(n) in LOADS & self.record.signals.keys()
-        ]
+        used = LOADS & self.record.signals.keys()
+        bandwidths = [value_of(sensor.bandwidth) for name, sensor in rig.sensors.items() if SENSED.get(name) in used]
         slowest = min((bandwidth for bandwidth in bandwidths if bandwidth > 0.0), default=0.0)
         return self.setup.average.mean(linear(lambda signal: self._slowed(signal, slowest), left) if slowest > 0.0 else left)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.attenuation import LEVEL_ERROR, REALISATIONS, limited, noise_part
+from ehls_ros.diagnosis.attenuation import ADDED_REALISATIONS, LEVEL_ERROR, limited, noise_part
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.identification.rig_coefficients import model_at
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
@@ -97,7 +97,7 @@ def rounding(stack: Stack, now: RigFit) -> dict[str, float]:
 
 def with_added_noise(stack: Stack) -> tuple[Stack, ...]:
     """Return the recordings with realisations of a noise of the sensors' level added and subtracted."""
-    return tuple(Stack(stack.evidences, noise=sign, seed=seed) for seed in range(REALISATIONS) for sign in (1.0, -1.0))
+    return tuple(Stack(stack.evidences, noise=sign, seed=seed) for seed in range(ADDED_REALISATIONS) for sign in (1.0, -1.0))
 
 
 def _equations(now: RigFit, noisy: Sequence[Stack]) -> tuple[Array, Array, Array]:

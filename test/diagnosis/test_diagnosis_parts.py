@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 from tiers import tiered
 
 from ehls_ros.diagnosis import stages
@@ -249,3 +250,22 @@ def test_an_error_of_a_reading_is_subtracted_from_it(rig):
     seen = simulator.measure(np.zeros(7))
     assert seen[POSITION] == pytest.approx(0.02 + 2e-4)
     assert seen[LOAD_PRESSURE] == pytest.approx(2e6 + 1.6e5)
+
+
+def test_a_lag_that_is_corrected_for_leaves_no_more_noise_in_the_cells_residual_than_there_was(rig):
+    """The load pressure reads behind 5 ms: five times as long as a sample, the correction multiplies its noise as much."""
+    lag = 5e-3
+    ours = perfect(rig)
+    trajectory, _ = simulated(ours)
+    rng = np.random.default_rng(8)
+    true = trajectory.signals["load_pressure_pa"]
+    read = true[0] + scipy.signal.lsim(([1.0], [lag, 1.0]), true - true[0], trajectory.time_s)[1]
+    noise = 2e3 * rng.standard_normal(len(true))
+    slow = ours.with_sensors(["load_pressure"], lambda sensor: sensor._replace(bandwidth=1.0 / lag))
+    before, after = (
+        compared(Trajectory(trajectory.time_s, trajectory.signals | {"load_pressure_pa": values + noise}), known)[0].residuals(
+            known, ("cell",)
+        )["cell"][40:-40]
+        for values, known in ((true, ours), (read, slow))
+    )
+    assert np.std(after) < 1.1 * np.std(before)

@@ -254,6 +254,13 @@ def test_what_stands_clear_of_the_noise_remains_where_no_cause_is_named_however_
     assert remainder_in(evidence, best, "force").unexplained is unexplained
 
 
+def test_beside_errors_of_form_one_block_alone_is_an_incident_however_large():
+    evidence = evidence_of({"force": NOISE + np.where(GROUPS.number == 4, 8.0, 0.0)})
+    item = remainder_in(replace(evidence, standard=HealthyVariation({})), nothing(evidence), "force")
+    assert item.incident is not None
+    assert not item.unexplained
+
+
 @pytest.mark.parametrize(("size", "unexplained"), [(4.0, False), (8.0, True)])
 def test_what_stands_clear_of_the_noise_in_one_block_only_is_no_incident_where_no_cause_is_named(size, unexplained):
     evidence = evidence_of({"force": NOISE + np.where(GROUPS.number == 4, size, 0.0)})

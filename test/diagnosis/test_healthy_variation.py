@@ -72,3 +72,9 @@ def test_of_windows_in_one_section_the_remainder_may_vary_without_bounds():
 def test_a_programme_is_known_by_the_range_of_its_signals(high, known):
     found = learnt(windows(1, bend), windows(2, bend, high=3.0))
     assert found.is_known(windows(3, bend, high=high)) == known
+
+
+def test_beyond_the_baselines_more_may_vary_even_where_they_agree():
+    found = learnt(windows(1, np.zeros_like), windows(2, np.zeros_like))
+    inside, outside = (found.expected(windows(3, np.zeros_like, low=where, high=where + 0.01)).variance for where in (0.5, 1.6))
+    assert np.all(outside > inside + (0.4 * rules.RELEVANT) ** 2)

@@ -176,6 +176,20 @@ def test_two_shifts_add_up(make_rig):
     assert rig.effective().plant.moving_mass == pytest.approx(100.0)
 
 
+def test_a_preloaded_spring_changes_about_its_zero(make_rig):
+    """At 5 mm, where the spring of 40 kN/m, with a constant load of 200 N, is free."""
+    loaded = make_rig(effects=[{"name": "constant_load", "force": 200.0}])
+    middle, about_zero = EFFECTS.load("spring_rate_shift").forms(loaded)
+    assert not middle.fixed
+    assert about_zero.fixed == {"zero": pytest.approx(5e-3)}
+    stiffer = make_rig(
+        effects=[{"name": "constant_load", "force": 200.0}, {"name": "spring_rate_shift", "added": 4e3, "zero": 5e-3}]
+    )
+    effective = stiffer.effective()
+    assert effective.plant.spring_stiffness == pytest.approx(4.4e4)
+    assert effective.effects[0].parameters.force == pytest.approx(220.0)
+
+
 def test_a_mass_taken_over_by_a_flexible_mode_weighs_what_it_did(make_rig):
     """At rest, where the mode pulls only with the weight."""
     rig = make_rig(effects=[{"name": "flexible_mode", "mass": 20.0, "taken": 1.0}]).effective()
