@@ -45,8 +45,8 @@ def forms(rig: Rig) -> tuple[Form, ...]:
     """Height, width, or both."""
     if not has(rig, *SHIFTS):
         return ()
-    # Starts on either side: for a much wider curve, a fit from the neutral width would match the height at wrong speeds.
-    factors = (0.4, 2.0, 5.0)
+    # Close starts: from a width far off, a fit matches the height at wrong speeds, and hardly moves along that curved valley.
+    factors = (0.4, 0.65, 1.6, 2.5, 4.0, 6.5)
     return (
         Form({"static_offset": ()}),
         Form({"velocity_factor": factors}),
