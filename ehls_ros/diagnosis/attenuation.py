@@ -8,6 +8,7 @@ normal equations is of second order in the noise, as their bias by the noise tha
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from ehls_ros.diagnosis.fit import Fit, Worker
 from ehls_ros.diagnosis.hypotheses import bounds
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.diagnosis.noise import deviations, with_noise
-from ehls_ros.diagnosis.stages import Channel, Comparison
+from ehls_ros.diagnosis.stages import Channel
 
 ADDED_REALISATIONS = 3
 """Realisations of the added noise."""
@@ -31,6 +32,9 @@ LEVEL_ERROR = 0.15
 
 SURE = 4.3
 """Standard errors of its realisations' mean that a correction must exceed: of three, chance passes them once in 20."""
+
+SINGULAR = 1e12
+"""Condition of the information from which on its combinations of parameters are rounding."""
 
 
 class NoisePart(NamedTuple):
@@ -101,7 +105,7 @@ class Corrected(NamedTuple):
 def corrected(evidence: Evidence, fit: Fit, covariance: Array) -> Corrected:
     """Correct the parameters of a fit for the noise in its derivatives.
 
-    A parameter that many runs of the model are needed for, or whose correction is no larger than chance, stays.
+    Parameters stay if derivatives are expensive, and each whose correction is no larger than chance.
 
     Args:
         evidence: the recording compared with the given model.
@@ -114,7 +118,7 @@ def corrected(evidence: Evidence, fit: Fit, covariance: Array) -> Corrected:
         return unchanged
     e, jacobian = fit.residuals.joined(fit.channels), fit.jacobian / unit
     information = jacobian.T @ (weights(e)[:, np.newaxis] * jacobian)
-    if not np.linalg.cond(information) < 1e12:
+    if not np.linalg.cond(information) < SINGULAR:
         return unchanged
     noisy = [(more, slopes / unit) for more, slopes in _noisy(evidence, fit)]
     pulls, lost = noise_part(e, jacobian, noisy, information)
@@ -134,12 +138,9 @@ def _noisy(evidence: Evidence, fit: Fit) -> Iterator[tuple[Array, Array]]:
     levels = deviations(evidence.record)
     for seed in range(ADDED_REALISATIONS):
         for sign in (1.0, -1.0):
-            record = with_noise(
-                evidence.record, {name: sign * level for name, level in levels.items()}, np.random.default_rng(seed)
-            )
-            worker = Worker(evidence)
-            worker.comparison = Comparison(record, evidence.setup)
-            there = worker.linearise(fit.hypothesis, fit.values, fit.steps)
+            signed = {name: sign * level for name, level in levels.items()}
+            record = with_noise(evidence.record, signed, np.random.default_rng(seed))
+            there = Worker(replace(evidence, record=record)).linearise(fit.hypothesis, fit.values, fit.steps)
             yield there.residuals.joined(fit.channels), _in(evidence, there, fit.channels)
 
 
