@@ -390,7 +390,9 @@ def whitened(
     out = {}
     for channel, values in raw.items():
         given = (allowed or {}).get(channel)
-        e = (values[masks[channel]] - (0.0 if given is None else given.mean)) / floor[channel]
+        # A diverged model may overflow even what is cut off next.
+        with np.errstate(over="ignore"):
+            e = (values[masks[channel]] - (0.0 if given is None else given.mean)) / floor[channel]
         e = np.clip(np.nan_to_num(e, nan=far, posinf=far, neginf=-far), -far, far)
         out[channel] = e if given is None else given.whitened(e)
     return out
