@@ -61,7 +61,7 @@ def _explains(
     # Standard errors tell how sure a size is; a change far beyond what is allowed may be sure, and its size not. Beside another
     # cause, the remainder of that one's form gains steadily, too.
     by_gain = standard.bounds_are_of_chance or not beside
-    sure = max(_surest(more, less), _steadiness(more, less, inflation) if by_gain else 0.0)
+    sure = max(_surest(more, less), steadiness(more, less, inflation) if by_gain else 0.0)
     return much and gain >= averaged and sure >= rules.MIN_SIGMAS
 
 
@@ -79,7 +79,7 @@ def _stands_out(
         return False
     # Standard errors include the form of the remainder; significance is therefore judged by the scatter alone.
     surest = _surest(assess(replace(evidence, correlation={}), more.fit), less)
-    return max(surest, 0.0 if less.names else _steadiness(more, less, inflation)) >= rules.MIN_SIGMAS
+    return max(surest, 0.0 if less.names else steadiness(more, less, inflation)) >= rules.MIN_SIGMAS
 
 
 def differences(evidence: Evidence, more: Assessment, less: Assessment) -> dict[Channel, Array]:
@@ -193,7 +193,7 @@ def share_closed(evidence: Evidence, more: Assessment, less: Assessment) -> floa
     return closed(before, after, evidence.noise[main])
 
 
-def _steadiness(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> float:
+def steadiness(more: Assessment, less: Assessment, inflation: Mapping[Channel, float]) -> float:
     """Return the mean gain of a hypothesis over another in a block, in standard errors by the scatter of the blocks."""
     blocks = more.per_block(inflation) - less.per_block(inflation)
     if len(blocks) < 2:

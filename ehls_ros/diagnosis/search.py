@@ -11,7 +11,7 @@ import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.acceptance import accepted, explains, is_new, within_form
+from ehls_ros.diagnosis.acceptance import accepted, explains, is_new, steadiness, within_form
 from ehls_ros.diagnosis.attenuation import corrected
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.fit import Fit, Start, Worker, base_loss, newton_start, predicted_loss
@@ -26,7 +26,7 @@ MAX_CAUSES = 3
 """Most causes that are sought together."""
 
 TOLD_SIGMAS = 2.0
-"""Standard errors of its estimate by which a cause must differ from none to be told."""
+"""Standard errors of its estimate by which a cause must differ from none to be told, unless it gains steadily."""
 
 BEAM = 3
 """Hypotheses carried on to the next number of causes."""
@@ -112,16 +112,20 @@ def _told(
 ) -> tuple[Assessment, tuple[Place, ...]]:
     """Return a hypothesis with each cause exchanged or dropped as long as that is better, its estimates, and its places.
 
-    A cause whose size no estimate tells from none is dropped: what it closes repeats too little.
+    A cause whose size cannot be told from none is dropped, unless it gains steadily.
     """
     best, places = _exchanged(evidence, pool, best, starts, alone, scale)
     while places:
         estimates = _estimated(evidence, best)
         kept = len(best.hypothesis) - len(places)
-        vague = [i for i in range(len(places)) if estimates.sigmas(kept + i) < TOLD_SIGMAS]
+        vague = [
+            place
+            for i, place in enumerate(places)
+            if estimates.sigmas(kept + i) < TOLD_SIGMAS and steadiness(best, place.without, scale) < rules.MIN_SIGMAS
+        ]
         if not vague:
             return estimates, places
-        best, places = _exchanged(evidence, pool, places[vague[0]].without, starts, alone, scale)
+        best, places = _exchanged(evidence, pool, vague[0].without, starts, alone, scale)
     return best, places
 
 
