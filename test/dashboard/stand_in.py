@@ -122,7 +122,9 @@ class StandIn:
         pass
 
     def _request(self, request: str) -> Answer:
-        print("request:", request, flush=True)
+        # In one piece: two threads may print at once.
+        sys.stdout.write(f"request: {request}\n")
+        sys.stdout.flush()
         return Answer(done=True, message=request)
 
 
