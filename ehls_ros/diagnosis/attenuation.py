@@ -49,23 +49,29 @@ class NoisePart(NamedTuple):
     lost: Array
 
 
-def noise_part(e: Array, jacobian: Array, noisy: Iterable[tuple[Array, Array]], information: Array) -> NoisePart:
+def information_of(e: Array, jacobian: Array) -> Array:
+    """Return the information on the parameters, shape (p, p), of residuals (n,) with derivatives (n, p)."""
+    return np.asarray(jacobian.T @ (weights(e)[:, np.newaxis] * jacobian), dtype=np.float64)
+
+
+def noise_part(e: Array, jacobian: Array, noisy: Iterable[tuple[Array, Array]], own: Array, prior: Array) -> NoisePart:
     """Return the parts of the normal equations that noise produces.
 
     Args:
         e: residuals of a fit, shape (n,).
         jacobian: their derivatives, shape (n, p).
         noisy: the same with a realisation of the noise added, and with it subtracted, in turn.
-        information: of the fit on its parameters, with that of other sources, shape (p, p).
+        own: their information on the parameters, shape (p, p).
+        prior: information of other sources, shape (p, p).
     """
     weight = weights(e)
-    score, own = jacobian.T @ (weight * e), jacobian.T @ (weight[:, np.newaxis] * jacobian)
+    score = jacobian.T @ (weight * e)
     scores, informations = list[Array](), list[Array]()
     for more, slopes in noisy:
         scores.append(slopes.T @ (weight * more) - score)
         informations.append(slopes.T @ (weight[:, np.newaxis] * slopes) - own)
     pulls = np.mean(np.reshape(scores, (-1, 2, len(own))), axis=1)
-    basis, shares = _shares(np.mean(informations, axis=0), information)
+    basis, shares = _shares(np.mean(informations, axis=0), own + prior)
     within = np.clip(shares, *SHARES)
     # Of a derivative that diverges with the noise, the pull is no more to be believed than the information.
     believed = np.divide(within, shares, out=np.ones_like(shares), where=shares != 0.0)
@@ -117,11 +123,11 @@ def corrected(evidence: Evidence, fit: Fit, covariance: Array) -> Corrected:
     if fit.costly or not fit.values.size or not np.all(unit > 0.0):
         return unchanged
     e, jacobian = fit.residuals.joined(fit.channels), fit.jacobian / unit
-    information = jacobian.T @ (weights(e)[:, np.newaxis] * jacobian)
+    information = information_of(e, jacobian)
     if not np.linalg.cond(information) < SINGULAR:
         return unchanged
     noisy = [(more, slopes / unit) for more, slopes in _noisy(evidence, fit)]
-    pulls, lost = noise_part(e, jacobian, noisy, information)
+    pulls, lost = noise_part(e, jacobian, noisy, information, np.zeros_like(information))
     steps = np.linalg.solve(information - lost, pulls.T).T
     step, chance = np.mean(steps, axis=0), np.std(steps, axis=0, ddof=1) / np.sqrt(len(steps))
     step = np.where(np.abs(step) > SURE * chance, step, 0.0)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.attenuation import ADDED_REALISATIONS, LEVEL_ERROR, limited, noise_part
+from ehls_ros.diagnosis.attenuation import ADDED_REALISATIONS, LEVEL_ERROR, information_of, limited, noise_part
 from ehls_ros.diagnosis.loss import weights
 from ehls_ros.identification.rig_coefficients import model_at
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
@@ -102,9 +102,9 @@ def with_added_noise(stack: Stack) -> tuple[Stack, ...]:
 
 def _equations(now: RigFit, noisy: Sequence[Stack]) -> tuple[Array, Array, Array]:
     """Return the parts of score (p,) and information (p, p) that noise produces, and the information with that of the guess."""
-    information = now.jacobian.T @ (weights(now.e)[:, np.newaxis] * now.jacobian) + np.eye(len(now.chosen))
-    part = noise_part(now.e, now.jacobian, (_at(stack, now) for stack in noisy), information)
-    return np.mean(part.pulls, axis=0), part.lost, information
+    own, prior = information_of(now.e, now.jacobian), np.eye(len(now.chosen))
+    part = noise_part(now.e, now.jacobian, (_at(stack, now) for stack in noisy), own, prior)
+    return np.mean(part.pulls, axis=0), part.lost, own + prior
 
 
 def _at(stack: Stack, now: RigFit) -> tuple[Array, Array]:

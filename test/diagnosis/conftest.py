@@ -8,7 +8,12 @@ from typing import Any
 import pytest
 import yaml
 
+from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.diagnose import diagnose
+from ehls_ros.diagnosis.evidence import gather
+from ehls_ros.diagnosis.fit import Worker
+from ehls_ros.diagnosis.hypotheses import Candidate, candidates
+from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.result import Diagnosis
 from ehls_ros.physics.rig import Rig, rig_from_mapping
 from ehls_ros.trajectory import Trajectory
@@ -43,3 +48,18 @@ def diagnosed(rig: Rig) -> Callable[..., Diagnosis]:
         return diagnose(Trajectory(r.time, r.columns), model, "case", threads=1)
 
     return diagnosed
+
+
+@pytest.fixture(scope="session")
+def worker_of(recorded: Callable[..., Recording], rig: Rig) -> Callable[..., tuple[Worker, dict[tuple[str, int], Candidate]]]:
+    """Gather the evidence of a recording with hidden effects; return its worker, and the candidates by name and number."""
+
+    def worker_of(
+        hidden: dict[str, Any], seed: int = 12, duration: float = 12.0
+    ) -> tuple[Worker, dict[tuple[str, int], Candidate]]:
+        r = recorded(hidden, "rich", seed=seed, duration=duration)
+        kept = prepare(Trajectory(r.time, r.columns), rig, "it")
+        found, _ = candidates(kept, rig, [])
+        return Worker(gather(kept, rig, stages.setup(kept, rig), 0)), {(c.name, c.number): c for c in found}
+
+    return worker_of

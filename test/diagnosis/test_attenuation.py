@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis import stages
 from ehls_ros.diagnosis.attenuation import SHARES, corrected, noise_part
-from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import assess
-from ehls_ros.diagnosis.hypotheses import candidates
-from ehls_ros.diagnosis.record import prepare
-from ehls_ros.trajectory import Trajectory
 
 SLOPE, SCATTER = 2.0, 0.5
 """Slope of a line, and standard deviation of the noise of its abscissa, whose own is 1."""
@@ -37,7 +31,7 @@ def test_a_slope_that_noise_attenuates_is_restored():
     more = [sign * SCATTER * noise for noise in rng.standard_normal((3, len(x))) for sign in (1.0, -1.0)]
     noisy = [tuple(part / scale for part in equations(x + m, y, fitted)) for m in more]
     information = jacobian.T @ jacobian / scale**2
-    part = noise_part(e / scale, jacobian / scale, noisy, information)
+    part = noise_part(e / scale, jacobian / scale, noisy, information, np.zeros((1, 1)))
     step = np.linalg.solve(information - part.lost, part.pulls.mean(axis=0))
     assert fitted + step[0] == pytest.approx(SLOPE, rel=0.02)
 
@@ -47,18 +41,16 @@ def test_noise_does_not_pull_along_a_derivative_that_diverges_with_it():
     jacobian, e = rng.standard_normal((2000, 2)), rng.standard_normal(2000)
     diverging = jacobian.copy()
     diverging[1000, 1] = 1e9
-    part = noise_part(e, jacobian, [(e, diverging), (e, jacobian)], information := jacobian.T @ jacobian)
+    part = noise_part(e, jacobian, [(e, diverging), (e, jacobian)], information := jacobian.T @ jacobian, np.zeros((2, 2)))
     step = np.linalg.solve(information - part.lost, part.pulls[0])
     assert np.all(np.abs(step) < 1e-3)
     assert np.max(np.linalg.eigvals(np.linalg.solve(information, part.lost)).real) == pytest.approx(SHARES[1])
 
 
-def test_a_lag_is_told_without_what_noise_takes_from_it(recorded, rig):
+def test_a_lag_is_told_without_what_noise_takes_from_it(worker_of):
     true = 0.004
-    made = recorded({"pressure_sensor_lag": {"time_constant": true}}, "rich", seed=5, duration=12.0)
-    kept = prepare(Trajectory(made.time, made.columns), rig, "it")
-    worker = Worker(gather(kept, rig, stages.setup(kept, rig), 0))
-    lag = next(c for c in candidates(kept, rig, [])[0] if c.name == "pressure_sensor_lag")
+    worker, found = worker_of({"pressure_sensor_lag": {"time_constant": true}}, seed=5)
+    lag = found["pressure_sensor_lag", 0]
     fit = worker.fit(worker.linearise((lag,), lag.starts[1]))
     covariance = assess(worker.evidence, fit).held_out.covariance
     told = corrected(worker.evidence, fit, covariance)
@@ -66,10 +58,8 @@ def test_a_lag_is_told_without_what_noise_takes_from_it(recorded, rig):
     assert told.covariance[0, 0] > 0.0
 
 
-def test_a_fit_without_parameters_is_as_it_was(recorded, rig):
-    made = recorded({}, "rich", seed=5, duration=12.0)
-    kept = prepare(Trajectory(made.time, made.columns), rig, "it")
-    worker = Worker(gather(kept, rig, stages.setup(kept, rig), 0))
+def test_a_fit_without_parameters_is_as_it_was(worker_of):
+    worker, _ = worker_of({}, seed=5)
     fit = worker.linearise((), np.empty(0))
     told = corrected(worker.evidence, fit, np.empty((0, 0)))
     assert told.values is fit.values

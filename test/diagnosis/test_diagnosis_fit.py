@@ -5,28 +5,16 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from ehls_ros.diagnosis import stages
-from ehls_ros.diagnosis.evidence import gather
-from ehls_ros.diagnosis.fit import Worker
 from ehls_ros.diagnosis.held_out import assess
-from ehls_ros.diagnosis.hypotheses import candidates, extended
+from ehls_ros.diagnosis.hypotheses import extended
 from ehls_ros.diagnosis.loss import gauss_newton, linear_loss, loss, products
 from ehls_ros.diagnosis.pool import Pool
-from ehls_ros.diagnosis.record import prepare
 from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.diagnosis.starts import Starts, combined, try_starts
-from ehls_ros.trajectory import Trajectory
 
 
-def worker_of(recorded, rig, hidden, seed=12, duration=12.0):
-    r = recorded(hidden, "rich", seed=seed, duration=duration)
-    kept = prepare(Trajectory(r.time, r.columns), rig, "it")
-    found, _ = candidates(kept, rig, [])
-    return Worker(gather(kept, rig, stages.setup(kept, rig), 0)), {(c.name, c.number): c for c in found}
-
-
-def test_gauss_newton_finds_what_enters_linearly(recorded, rig):
-    worker, found = worker_of(recorded, rig, {"spring_rate_shift": {"factor": 1.2}})
+def test_gauss_newton_finds_what_enters_linearly(worker_of):
+    worker, found = worker_of({"spring_rate_shift": {"factor": 1.2}})
     spring = found["spring_rate_shift", 0]
     done = worker.fit(worker.linearise((spring,), spring.neutral))
     assert done.settled
@@ -35,8 +23,8 @@ def test_gauss_newton_finds_what_enters_linearly(recorded, rig):
     assert done.loss < 0.01 * float(np.sum(loss(worker.evidence.base.values["force"])))
 
 
-def test_gauss_newton_finds_a_kink(recorded, rig):
-    worker, found = worker_of(recorded, rig, {"valve_dead_zone": {"positive": 4e-5, "negative": 3e-5, "site": "ports"}})
+def test_gauss_newton_finds_a_kink(worker_of):
+    worker, found = worker_of({"valve_dead_zone": {"positive": 4e-5, "negative": 3e-5, "site": "ports"}})
     overlap = found["valve_dead_zone", 0]
     reached = [worker.fit(worker.linearise((overlap,), start)) for start in overlap.starts]
     best = min(reached, key=lambda f: f.loss)
@@ -45,8 +33,8 @@ def test_gauss_newton_finds_a_kink(recorded, rig):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_derivatives_are_those_on_the_side_to_which_a_fit_moves(recorded, rig, side):
-    worker, found = worker_of(recorded, rig, {})
+def test_derivatives_are_those_on_the_side_to_which_a_fit_moves(worker_of, rig, side):
+    worker, found = worker_of({})
     lag = found["valve_bandwidth_shift", 0]
     values = np.array([1.2])
     again = worker.linearise_again(worker.linearise((lag,), values - 0.1 * side), values)
@@ -55,8 +43,8 @@ def test_derivatives_are_those_on_the_side_to_which_a_fit_moves(recorded, rig, s
     np.testing.assert_allclose(again.jacobian[:, 0], quotient, rtol=1e-9, atol=1e-9)
 
 
-def test_what_does_not_depend_on_a_change_is_reused(recorded, rig, monkeypatch):
-    worker, found = worker_of(recorded, rig, {"spring_rate_shift": {"factor": 1.2}, "valve_hysteresis": {"width": 2e-5}})
+def test_what_does_not_depend_on_a_change_is_reused(worker_of, rig, monkeypatch):
+    worker, found = worker_of({"spring_rate_shift": {"factor": 1.2}, "valve_hysteresis": {"width": 2e-5}})
     spring, valve = found["spring_rate_shift", 0], found["valve_hysteresis", 0]
     alone = worker.fit(worker.linearise((spring,), spring.neutral))
     both = np.concatenate([alone.values, valve.starts[-1]])
@@ -77,8 +65,8 @@ def test_what_does_not_depend_on_a_change_is_reused(recorded, rig, monkeypatch):
     assert done.values[-1] == pytest.approx(2e-5, rel=0.1)
 
 
-def test_a_fit_that_starts_where_its_causes_do_nothing_stays_there(recorded, rig):
-    worker, found = worker_of(recorded, rig, {"spring_hardening": {"cubic": -2e5}})
+def test_a_fit_that_starts_where_its_causes_do_nothing_stays_there(worker_of):
+    worker, found = worker_of({"spring_hardening": {"cubic": -2e5}})
     never = next(c for c in found.values() if c.name == "end_stop" and len(c.free) > 1)
     begin = worker.linearise((never,), never.neutral)
     assert begin.channels == ()
@@ -88,8 +76,8 @@ def test_a_fit_that_starts_where_its_causes_do_nothing_stays_there(recorded, rig
     assert sum(gain.sum() for gain in assess(worker.evidence, done, worker).held_out.gain.values()) == 0.0
 
 
-def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig):
-    worker, found = worker_of(recorded, rig, {"mass_shift": {"factor": 0.94}, "constant_load": {"force": -45.0}})
+def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(worker_of):
+    worker, found = worker_of({"mass_shift": {"factor": 0.94}, "constant_load": {"force": -45.0}})
     load, mass = found["constant_load", 0], found["mass_shift", 0]
     alone = worker.fit(worker.linearise((load,), load.neutral))
     begin = combined(worker.evidence, alone, worker.linearise((mass,), mass.neutral))
@@ -98,9 +86,9 @@ def test_causes_that_all_but_cancel_are_fitted_from_where_they_do(recorded, rig)
     assert alone.loss - worker.first_step(begin).loss > 0.8 * begin.promise
 
 
-def test_a_cause_starts_otherwise_beside_what_hid_it(recorded, rig):
+def test_a_cause_starts_otherwise_beside_what_hid_it(worker_of):
     hidden = {"presliding_stiffness_shift": {"factor": 4.7}, "pressure_sensor_lag": {"time_constant": 0.012}}
-    worker, found = worker_of(recorded, rig, hidden)
+    worker, found = worker_of(hidden)
     few = [found["presliding_stiffness_shift", 0], found["pressure_sensor_lag", 0]]
     with closing(Pool(worker.evidence, 1)) as pool:
         starts = Starts(pool, try_starts(pool, few, lambda what, part: None))
@@ -112,8 +100,8 @@ def test_a_cause_starts_otherwise_beside_what_hid_it(recorded, rig):
     assert alone < after
 
 
-def test_derivatives_follow_a_step_without_being_evaluated_again(recorded, rig):
-    worker, found = worker_of(recorded, rig, {"hinge_backlash": {"gap": 3e-4}})
+def test_derivatives_follow_a_step_without_being_evaluated_again(worker_of, rig):
+    worker, found = worker_of({"hinge_backlash": {"gap": 3e-4}})
     play = next(c for c in found.values() if c.name == "hinge_backlash" and c.separates_load)
     begin = worker.linearise((play,), play.starts[-1])
     moved = np.clip(begin.values * 1.02, play.lower, play.upper)

@@ -190,6 +190,14 @@ def test_a_preloaded_spring_changes_about_its_zero(make_rig):
     assert effective.effects[0].parameters.force == pytest.approx(220.0)
 
 
+def test_a_preloaded_spring_that_is_lost_takes_its_preload_with_it(make_rig):
+    lost = make_rig(
+        effects=[{"name": "constant_load", "force": 200.0}, {"name": "spring_rate_shift", "added": -1e6, "zero": 5e-3}]
+    ).effective()
+    assert lost.plant.spring_stiffness == 0.0
+    assert lost.effects[0].parameters.force == pytest.approx(0.0)
+
+
 def test_a_mass_taken_over_by_a_flexible_mode_weighs_what_it_did(make_rig):
     """At rest, where the mode pulls only with the weight."""
     rig = make_rig(effects=[{"name": "flexible_mode", "mass": 20.0, "taken": 1.0}]).effective()

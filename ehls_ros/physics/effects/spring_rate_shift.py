@@ -7,9 +7,7 @@ from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "mechanics"
-EQUATION = (
-    "ks -> ks + added, at least 0; the force of `constant_load`, which a mounted spring's zero gives, grows by added × zero"
-)
+EQUATION = "ks -> ks + added, at least 0; `constant_load`, which holds the force of a preloaded spring, grows by the change of ks × zero"
 SOURCE = "Kang et al. 2018, (3)"
 WORDS = Words(
     "the stiffness of the spring",
@@ -29,18 +27,18 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the stiffness shifted."""
-    stiffness = max(rig.plant.spring_stiffness + parameters.added, 0.0)
+    before = rig.plant.spring_stiffness
+    stiffness = max(before + parameters.added, 0.0)
     rig = rig.with_plant(spring_stiffness=stiffness)
-    preload = preload_of(rig)
+    preload = _preload_of(rig)
     if parameters.zero == 0.0 or preload is None:
         return rig
-    more = preload._replace(
-        parameters=preload.parameters._replace(force=preload.parameters.force + parameters.added * parameters.zero)
-    )
+    force = preload.parameters.force + (stiffness - before) * parameters.zero
+    more = preload._replace(parameters=preload.parameters._replace(force=force))
     return rig._replace(effects=tuple(more if use is preload else use for use in rig.effects))
 
 
-def preload_of(rig: Rig) -> EffectUse | None:
+def _preload_of(rig: Rig) -> EffectUse | None:
     """Return the constant load of a rig, which holds the force of its spring at zero; None if it has none."""
     return next((use for use in rig.effects if use.name == "constant_load"), None)
 
@@ -48,7 +46,7 @@ def preload_of(rig: Rig) -> EffectUse | None:
 def forms(rig: Rig) -> tuple[Form, ...]:
     """The added stiffness about the middle, and about the zero of a spring whose preload is the rig's constant load."""
     about_middle = Form({"added": ()})
-    stiffness, preload = rig.plant.spring_stiffness, preload_of(rig)
+    stiffness, preload = rig.plant.spring_stiffness, _preload_of(rig)
     if preload is None or not stiffness > 0.0:
         return (about_middle,)
     return (about_middle, Form({"added": ()}, {"zero": preload.parameters.force / stiffness}))
