@@ -376,7 +376,9 @@ def _key(hypothesis: Sequence[Candidate]) -> frozenset[tuple[str, int]]:
 
 
 def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, float]) -> Assessment | None:
-    """Return a rival with fewer parameters that is nearly as good, if there is one.
+    """Return a rival with fewer parameters that is nearly as good, or as good and nearer to the recording, if there is one.
+
+    More parameters that fit worse are those of a fit that a bound or an error of form holds back.
 
     Args:
         best: the best hypothesis.
@@ -389,6 +391,8 @@ def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, f
             other = rival.hypothesis[-1]
             behind = best.score(scale) - rival.score(scale)
             allowed = max(rules.NEEDED_GAIN if other.name == candidate.name else 0.0, rules.SIMPLER * total)
+            if rival.fit.channels == best.fit.channels and rival.fit.loss < best.fit.loss:
+                allowed = max(allowed, rules.EQUAL_FRACTION * total)
             if len(other.free) < len(candidate.free) and behind < allowed:
                 return rival
     return None

@@ -383,6 +383,14 @@ def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, take
     assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
 
 
+@pytest.mark.parametrize(("behind", "loss", "taken"), [(0.9, -1.0, True), (1.1, -1.0, False), (0.9, 1.0, False)])
+def test_fewer_parameters_that_fit_better_are_preferred_among_equals(behind, loss, taken):
+    best = scored((TWO,), 1000.0)
+    other = scored((MASS,), 1000.0 * (1.0 - behind * rules.EQUAL_FRACTION))
+    other = other._replace(fit=other.fit._replace(loss=best.fit.loss + loss))
+    assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
+
+
 @pytest.mark.parametrize(
     ("causes", "behind", "taken"),
     [((MASS, VISCOUS), 4.0, True), ((MASS, VISCOUS), 6.0, False), ((MASS, ONE, VISCOUS), 0.0, False)],

@@ -147,6 +147,8 @@ SHIFTED = [
     ("coulomb_shift", {"offset": 100.0}, "friction.coulomb_force", 740.8),
     ("coulomb_shift", {"offset": 100.0}, "friction.static_force", 965.4),
     ("coulomb_shift", {"offset": -1000.0}, "friction.coulomb_force", 1.0),
+    ("coulomb_shift", {"offset": 320.4, "stiffening": 1.0}, "friction.element_stiffness", (2.826e6, 2.9535e5, 2.7615e5)),
+    ("coulomb_shift", {"offset": 100.0}, "friction.element_stiffness", (1.884e6, 1.969e5, 1.841e5)),
     ("viscous_shift", {"added": 735.0}, "friction.viscous_coefficient", 8000.0),
     ("viscous_shift", {"added": -1e4}, "friction.viscous_coefficient", 0.0),
     ("stribeck_shift", {"static_offset": 34.6}, "friction.static_force", 900.0),

@@ -2,13 +2,13 @@
 
 from typing import Annotated, NamedTuple
 
-from ehls_ros.physics.effects._friction import has
+from ehls_ros.physics.effects._friction import STIFFNESSES, has, stiffened
 from ehls_ros.physics.effects.base import Form, Group, Words
 from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-SHIFTS = ("element_stiffness", "presliding_stiffness")
+SHIFTS = STIFFNESSES
 EQUATION = "k_i -> factor k_i, or σ0 -> factor σ0"
 SOURCE = "Kang et al. 2018, (6)"
 WORDS = Words(
@@ -34,11 +34,7 @@ class Parameters(NamedTuple):
 
 def shift(rig: Rig, parameters: Parameters) -> Rig:
     """Return the rig with the stiffness scaled."""
-    elements = getattr(rig.friction, "element_stiffness", ())
-    return rig.with_friction(
-        element_stiffness=tuple(parameters.factor * value for value in elements),
-        presliding_stiffness=parameters.factor * getattr(rig.friction, "presliding_stiffness", 0.0),
-    )
+    return stiffened(rig, parameters.factor)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
