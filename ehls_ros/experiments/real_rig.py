@@ -15,6 +15,9 @@ from ehls_ros.experiments.spec import COMMAND_DELAY, COUPLING, Spec, Use
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.rig import EffectUse, Rig, effects_from_list
 
+ADAPTING = (Use(ADAPTATION, adaptation.Parameters()),)
+"""The companion that adapts a law to a rig."""
+
 FOUND_BY = "`ehls commission` measures it"
 
 
@@ -35,7 +38,7 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
 
     Args:
         spec: the experiment; its companions are kept if it names any.
-        adapt: whether to add the companion ``adaptation``, which knows double rods only.
+        adapt: whether to add the companion ``adaptation``.
     """
     law, remarks = CONTROLLERS.load(spec.controller.name), list[str]()
     rig = spec.controller_rig
@@ -57,23 +60,12 @@ def for_real_rig(spec: Spec, *, adapt: bool = True) -> RealRig:
     if filters:
         spec = _with_controller_rig(spec, rig.with_effects(tuple(assumed)))
     if law.FOLLOWS == "force" and not spec.companions and (filters or law.FRICTION):
-        companions = adapting(rig)
-        if not companions:
-            remarks.append(
-                "adaptation knows the volume balance of a double rod only: wrong numbers of the rig file are neither corrected"
-                " nor named while it runs; `ehls identify --whole-rig` finds them in the recording"
-            )
-        elif adapt:
-            spec = spec._replace(companions=companions)
+        if adapt:
+            spec = spec._replace(companions=ADAPTING)
             remarks.append("adaptation corrects wrong numbers of the rig file within bounds while it runs, and names them")
         else:
             remarks.append("adaptation is off: wrong numbers of the rig file are neither corrected nor named while it runs")
     return RealRig(spec, tuple(remarks))
-
-
-def adapting(rig: Rig) -> tuple[Use, ...]:
-    """Return the companion that adapts a law to a rig; none for two chambers, whose volume balances it does not know."""
-    return () if rig.cylinder.law.CHAMBERS else (Use(ADAPTATION, adaptation.Parameters()),)
 
 
 def usual_effects(rig: Rig, period: float) -> tuple[EffectUse, ...]:

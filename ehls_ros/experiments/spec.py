@@ -33,7 +33,6 @@ from ehls_ros.physics.rig import (
     Rig,
     check_effect_count,
     check_known,
-    check_one_pressure,
     effects_from_list,
     rig_from_mapping,
     rig_to_mapping,
@@ -429,15 +428,15 @@ def _setting(spec: Spec, model: Model, where: str, law: str | None = None, tunin
         raise BadInput(f"{beside} beside {name}, which follows a {kind.FOLLOWS}", f"{where}: companions", expected)
     actuator = signal_kind(spec.disturbance.name)
     tuning = spec.controller.parameters if tuning is None else tuning
-    return Setting(kind, tuning, model, actuator, spec.controller_rig.limits, double_rod_of(spec.controller_rig).rig.plant)
+    rig = spec.controller_rig
+    under_test = double_rod_of(rig).rig.plant
+    return Setting(kind, tuning, model, actuator, rig.limits, under_test, rig.cylinder.model, rig.valve.model)
 
 
 def _check_companions(spec: Spec, where: str, setting: Setting) -> None:
     """Reject companions that are incompatible with the controller or the rig."""
     law = str(getattr(setting.law, "__name__", "")).rpartition(".")[2]
     for use in spec.companions:
-        if getattr(COMPANIONS.load(use.name), "ONE_PRESSURE", False):
-            check_one_pressure(spec.controller_rig, f"the companion {use.name}", f"{where}: controller's rig")
         with _placed(f"{where}: {use.name} beside {law}"):
             COMPANIONS.load(use.name).check(use.parameters, setting)
 

@@ -1,12 +1,13 @@
 """Sensor models: lag, delay, gain, bias, noise and resolution, applied in this order."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ehls_ros.arrays import Array, kernel
-from ehls_ros.physics.parameters import Sensor
+from ehls_ros.physics.parameters import Plant, Sensor
 from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED
 
 POSITION, VELOCITY, LOAD_PRESSURE, SPOOL, FORCE, SUPPLY_PRESSURE, OIL_TEMPERATURE, PRESSURE_A, PRESSURE_B = range(
@@ -47,6 +48,12 @@ def prepare(sensors: Mapping[str, Sensor], period: float, signals: Sequence[str]
         table[row] = smoothing, sensor.delay / period, sensor.gain, sensor.bias, sensor.noise_std, sensor.resolution
     longest = int(np.ceil(table[:, 1].max()))
     return SensorState(table, np.zeros(len(signals)), np.zeros((len(signals), longest + 2 if longest > 0 else 1)))
+
+
+@kernel
+def read_supply(measured: Array, plant: Plant) -> float:
+    """Return the supply pressure of a measurement, or that of the rig file if it is not a number [Pa]."""
+    return measured[SUPPLY_PRESSURE] if math.isfinite(measured[SUPPLY_PRESSURE]) else plant.supply_pressure
 
 
 @kernel

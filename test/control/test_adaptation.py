@@ -11,8 +11,9 @@ from ehls_ros.control.companions import adaptation
 from ehls_ros.control.companions.base import PLACE, Past, Setting
 from ehls_ros.control.controllers import CONTROLLERS
 from ehls_ros.control.controllers.base import ROW, STATUS_SIZE, Model, model_of
+from ehls_ros.experiments.files import configured
 from ehls_ros.experiments.loop import ClosedLoop
-from ehls_ros.experiments.spec import Spec, load_spec
+from ehls_ros.experiments.spec import Spec, load_spec, spec_from_mapping
 from ehls_ros.physics.sensors import SPOOL
 
 PERIOD = 1e-3
@@ -35,11 +36,31 @@ def run() -> Run:
     return Run(spec, np.concatenate([m for m, _ in blocks]), np.concatenate([c for _, c in blocks]))
 
 
+@pytest.fixture(scope="module")
+def single_rod() -> Run:
+    """Run of a single rod with hoses, overlaps and a droop of the supply, by a law that knows its coupling."""
+    servo = {"moving_mass": 100.0, "position_gain": 10.0}
+    motion = {"name": "sine", "amplitude": 0.02, "frequency": 1.0}
+    content = {
+        "title": "single rod against a servo",
+        "rig": str(configured("rig_single_rod")),
+        "duration": 8.0,
+        "control_period": PERIOD,
+        "known_effects": ["coupling_stiffness"],
+        "reference": {"name": "sine", "amplitude": 6000.0, "frequency": 0.5},
+        "disturbance": {"name": "position_servo", "stiffness": 2e6, "damping": 2e3, **servo, "signal": motion},
+        "controller": "fasmc_predictive",
+    }
+    spec = spec_from_mapping(content, "it", Path())
+    loop = ClosedLoop(spec)
+    blocks = [(b.record[:, loop.columns.measured].copy(), b.record[:, loop.columns.command].copy()) for b in loop.blocks()]
+    return Run(spec, np.concatenate([m for m, _ in blocks]), np.concatenate([c for _, c in blocks]))
+
+
 def companion(spec: Spec, model: Model, **values: float) -> adaptation.Adaptation:
-    law = CONTROLLERS.load(spec.controller.name)
-    return adaptation.build(
-        adaptation.Parameters(**values), Setting(law, spec.controller.parameters, model, actuator="position")
-    )
+    law, rig = CONTROLLERS.load(spec.controller.name), spec.controller_rig
+    setting = Setting(law, spec.controller.parameters, model, "position", cylinder=rig.cylinder.model, valve=rig.valve.model)
+    return adaptation.build(adaptation.Parameters(**values), setting)
 
 
 def fed(one: adaptation.Adaptation, model: Model, measured: np.ndarray, command: np.ndarray, first: int = 0) -> list[Model]:
@@ -119,6 +140,36 @@ def test_a_wrong_bulk_modulus_is_found_within_its_error(run: Run) -> None:
     one = companion(run.spec, model)
     last = fed(one, model, run.measured, run.command)[-1]
     assert last.plant.bulk_modulus == pytest.approx(run.spec.rig.plant.bulk_modulus, rel=0.04)
+
+
+@pytest.mark.parametrize("signals", [9, 7], ids=["both pressures", "load cell alone"])
+def test_the_right_file_of_a_single_rod_stays_as_it_is(single_rod: Run, signals: int) -> None:
+    model = known(single_rod.spec)._replace(command_delay=0.0)
+    one = companion(single_rod.spec, model)
+    measured = single_rod.measured[:, :signals]
+    assert all(later is model for later in fed(one, model, measured, single_rod.command))
+    assert one.report()["discharge_coefficient_told"] == "the rig file's discharge coefficient agrees with this run (± 0.1 %)"
+
+
+@pytest.mark.parametrize(
+    ("name", "within"),
+    [("discharge_coefficient", 0.004), ("valve_gain", 0.004), ("valve_bandwidth", 0.02), ("bulk_modulus", 0.09)],
+)
+@pytest.mark.parametrize("off", [0.8, 1.2])
+def test_a_wrong_coefficient_of_a_single_rod_is_found(single_rod: Run, name: str, within: float, off: float) -> None:
+    # Hoses yield as well, and the modulus is that of hose and oil.
+    model = known(single_rod.spec, **{name: off})._replace(command_delay=0.0)
+    last = fed(companion(single_rod.spec, model), model, single_rod.measured, single_rod.command)[-1]
+    assert getattr(last.plant, name) == pytest.approx(getattr(single_rod.spec.rig.plant, name), rel=within)
+
+
+def test_wrong_areas_of_a_single_rod_are_found_by_the_load_cell(single_rod: Run) -> None:
+    model = known(single_rod.spec, piston_area=0.85)._replace(command_delay=0.0)
+    chambers = model.cylinder
+    model = model._replace(cylinder=chambers._replace(area_a=0.85 * chambers.area_a, area_b=0.85 * chambers.area_b))
+    last = fed(companion(single_rod.spec, model), model, single_rod.measured, single_rod.command)[-1]
+    assert last.plant.piston_area == pytest.approx(single_rod.spec.rig.plant.piston_area, rel=0.002)
+    assert (last.cylinder.area_a, last.cylinder.area_b) == pytest.approx((chambers.area_a, chambers.area_b), rel=0.002)
 
 
 @pytest.mark.parametrize("believed", [0.8e-3, 1.2e-3])

@@ -13,6 +13,8 @@ from ehls_ros.control.companion_chain import CompanionChain
 from ehls_ros.control.controller import ADAPTATION_LIMITS, Controller
 from ehls_ros.control.controllers.base import model_of
 from ehls_ros.errors import BadInput
+from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.spec import load_rig
 from ehls_ros.physics.effects import command_delay
 from ehls_ros.physics.friction import stribeck
 from ehls_ros.physics.rig import UNKNOWN, EffectUse
@@ -48,16 +50,20 @@ def test_a_piston_area_of_ten_times_is_refused_by_name_and_changes_nothing(rig):
     assert law.model == other.model
 
 
+SINGLE_ROD = load_rig(configured("rig_single_rod"))
+
 COEFFICIENTS = (
     *(("plant", name) for name in ("piston_area", "moving_mass", "bulk_modulus", "valve_gain", "gravity")),
     *(("friction", name) for name in ("coulomb_force", "viscous_coefficient", "element_stiffness", "attraction_rate")),
+    *(("cylinder", name) for name in ("area_a", "volume_b")),
+    ("valve", "gain_pb"),
 )
 
 
 @pytest.mark.parametrize(("part", "name"), COEFFICIENTS)
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_each_coefficient_moves_by_30_percent_at_most_and_by_20_percent_a_second(rig, part, name, side):
-    original = model_of(rig, PERIOD)
+    original = model_of(SINGLE_ROD if part in ("cylinder", "valve") else rig, PERIOD)
     within, beyond = (scaled(original, part, name, 1.0 + side * change) for change in (0.3, 0.301))
     with pytest.raises(BadInput, match=f"{name}.* goes from"):
         transition(original, beyond)
@@ -125,6 +131,7 @@ def test_a_rig_of_another_kind_is_refused(rig):
     fewer = friction._replace(element_stiffness=friction.element_stiffness[:2], element_weight=friction.element_weight[:2])
     for wanted, words in (
         (original._replace(friction=stribeck.Parameters(**values)), "the friction model is stribeck; expected gms"),
+        (model_of(SINGLE_ROD, PERIOD), "it has another kind of cylinder"),
         (original._replace(friction=fewer), "element_stiffness has 2 values"),
         (original._replace(spool_limit=2.0 * original.spool_limit), "spool is 0.02"),
         (known(rig, piston_area=UNKNOWN), "piston_area goes from 0.0026 to unknown"),

@@ -1,7 +1,7 @@
 """Select the estimates handed over to a controller, limit their rate, and word the report to the user."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ehls_ros.control.controllers.base import Model
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -192,9 +192,16 @@ def corrected(model: Model, original: Model, values: dict[str, float]) -> Model:
         scaled["viscous_coefficient"] = friction.viscous_coefficient * values["viscous_coefficient"]
     return model._replace(
         plant=model.plant._replace(**changed),
+        cylinder=_with_areas(model.cylinder, original.cylinder, values["piston_area"]),
         friction=model.friction._replace(**scaled),
         command_delay=values["command_delay"],
     )
+
+
+def _with_areas(cylinder: Any, original: Any, value: float) -> Any:
+    """Return a cylinder's parameters with the areas of both chambers, if it has any, relative to the rig file's."""
+    areas = [name for name in ("area_a", "area_b") if name in getattr(original, "_fields", ())]
+    return cylinder._replace(**{name: getattr(original, name) * value for name in areas}) if areas else cylinder
 
 
 SCALED = ("coulomb_force", "static_force", "attraction_rate")
@@ -208,7 +215,8 @@ def corrected_rig(rig: Rig, original: Model, values: dict[str, float]) -> Rig:
     effects = tuple(
         EffectUse(use.name, use.parameters._replace(delay=delay)) if use.name == "command_delay" else use for use in rig.effects
     )
-    return rig._replace(plant=model.plant, friction=model.friction, effects=effects)
+    cylinder = rig.cylinder._replace(parameters=model.cylinder) if model.cylinder else rig.cylinder
+    return rig._replace(plant=model.plant, cylinder=cylinder, friction=model.friction, effects=effects)
 
 
 def differs(value: float, nominal: float) -> bool:

@@ -4,7 +4,8 @@ import math
 from collections.abc import Mapping
 
 from ehls_ros.arrays import Array
-from ehls_ros.control.adaptation import area, evidence, flow, friction, valve
+from ehls_ros.control.adaptation import area, evidence, flow, friction
+from ehls_ros.control.adaptation import valve as valve_stage
 from ehls_ros.control.adaptation.correction import COEFFICIENTS, AdaptationLimits, Correction, Estimated, corrected, differs
 from ehls_ros.control.adaptation.evidence import AREA, FLOW, SPOOL_READ, VALVE
 from ehls_ros.control.controllers.base import Model
@@ -24,7 +25,13 @@ class Estimation:
     """Estimates of the errors of a rig file from the cycles so far."""
 
     def __init__(
-        self, original: Model, limits: AdaptationLimits, forgetting: float, around: friction.Surroundings | None = None
+        self,
+        original: Model,
+        limits: AdaptationLimits,
+        forgetting: float,
+        around: friction.Surroundings | None = None,
+        cylinder: str = "double_rod",
+        valve: str = "load_flow",
     ) -> None:
         """Start from the rig file's values.
 
@@ -33,12 +40,14 @@ class Estimation:
             limits: how estimates are used.
             forgetting: time constant of the forgetting of readings [s].
             around: coupling of the piston; None if unknown, so that friction cannot be estimated.
+            cylinder: file name of the model's cylinder.
+            valve: that of its valve.
         """
         self._original = original
         self._limits = limits
         self._basis = evidence.basis_of(original, limits.reach, forgetting)
         self._memory = evidence.memory(self._basis)
-        self._take = evidence.evidence_kernel().take
+        self._take = evidence.evidence_kernel(cylinder, valve).take
         known = around is not None and isinstance(original.friction, gms.Parameters)
         self._reversals = friction.Reversals(original, around, forgetting) if known and around is not None else None
         self._turn = 0
@@ -146,7 +155,7 @@ class Estimation:
 
     def _valve(self) -> dict[str, Estimated | None]:
         bank = self._basis.bank
-        found = valve.find(bank, self._memory.valve, float(self._memory.counts[VALVE, 0]))
+        found = valve_stage.find(bank, self._memory.valve, float(self._memory.counts[VALVE, 0]))
         if found is None:
             return dict.fromkeys(("valve_gain", "valve_bandwidth", "command_delay"))
         scale = bank.bandwidth / self._original.plant.valve_bandwidth

@@ -7,7 +7,9 @@ Over a block of cycles, the oil through the valve moves the piston, is compresse
 No reading is differentiated, and no velocity reading is needed. With the rig file's coefficients on both sides, the regression
 yields Ac/Cd, Vt/(beta_e Cd) and Ctc/Cd relative to the rig file, and an offset, the spool's bias. The area is known from the
 load cell. Only products are identifiable: valve area gradient and density are included in the discharge coefficient, the volume
-in the bulk modulus.
+in the bulk modulus. Of a cylinder with two chambers, each cycle takes the double rod that it is at that moment
+(:mod:`ehls_ros.control.local_plant`): the discharge coefficient stands for the gains of all edges, the bulk modulus for both
+chambers.
 """
 
 import math
@@ -29,7 +31,7 @@ MOTION, COMPRESSION, LEAKAGE, OFFSET, VALVE, ROW = range(6)
 MIN_MOTION = 0.1
 """Least plausible ratio of area to discharge coefficient, relative to the rig file's."""
 
-STARTED, THROUGH, LEAKED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, FIRST_PRESSURE, OPEN = range(8)
+STARTED, THROUGH, LEAKED, COMPRESSED, LAST_FLOW, LAST_PRESSURE, FIRST_POSITION, OPEN = range(8)
 """Indices of an open block: its cycles, volumes [m^3], last flow [m^3/s] and pressure [Pa], and its start; and its length."""
 
 OFFSET_FLOW = 1e-6
@@ -40,9 +42,6 @@ LEAKAGE_PRIOR_STD = 1.0
 
 FLOW_FLOOR, COMPRESSION_FLOOR = 1e-3, 1e-2
 """Least standard errors of discharge coefficient and bulk modulus, due to the trapezoidal rule over a cycle."""
-
-MIN_USABLE_DROP = 0.01
-"""Least usable pressure drop over the valve, as a fraction of the supply pressure."""
 
 
 class Found(NamedTuple):
@@ -60,21 +59,12 @@ class Found(NamedTuple):
 
 
 @kernel
-def valve_flow(spool: float, pressure: float, supply: float, plant: Plant) -> float:
-    """Return the flow (1) [m^3/s]; NaN if the pressure drop is too small to determine it."""
-    drop = supply - math.copysign(pressure, spool * pressure)
-    if drop < MIN_USABLE_DROP * plant.supply_pressure:
-        return math.nan
-    return plant.discharge_coefficient * plant.valve_area_gradient * spool * math.sqrt(drop / plant.oil_density)
-
-
-@kernel
 def begin(position: float, pressure: float, flow: float, block: Array) -> None:
     """Open a block at a reading, or none if the reading is not finite."""
     block[STARTED] = 1.0 if math.isfinite(position + pressure + flow) else 0.0
-    block[THROUGH] = block[LEAKED] = 0.0
+    block[THROUGH] = block[LEAKED] = block[COMPRESSED] = 0.0
     block[LAST_FLOW], block[LAST_PRESSURE] = flow, pressure
-    block[FIRST_POSITION], block[FIRST_PRESSURE] = position, pressure
+    block[FIRST_POSITION] = position
 
 
 @kernel
@@ -96,7 +86,7 @@ def balance(
         position: piston position [m].
         pressure: load pressure [Pa].
         flow: flow through the valve by the rig file's coefficients [m^3/s].
-        plant: the rig file's coefficients.
+        plant: the rig file's coefficients; of a cylinder with two chambers, those of the double rod that it is.
         period: control period [s].
         fading: forgetting factor of earlier blocks' weight.
         block: the open block, shape (OPEN,); updated.
@@ -110,11 +100,12 @@ def balance(
     block[STARTED] += 1.0
     block[THROUGH] += 0.5 * period * (flow + block[LAST_FLOW])
     block[LEAKED] += 0.5 * period * plant.leakage_coefficient * (pressure + block[LAST_PRESSURE])
+    block[COMPRESSED] += plant.total_volume / (4.0 * plant.bulk_modulus) * (pressure - block[LAST_PRESSURE])
     block[LAST_FLOW], block[LAST_PRESSURE] = flow, pressure
     if block[STARTED] <= BLOCK:
         return
     row[MOTION] = plant.piston_area * (position - block[FIRST_POSITION])
-    row[COMPRESSION] = plant.total_volume / (4.0 * plant.bulk_modulus) * (pressure - block[FIRST_PRESSURE])
+    row[COMPRESSION] = block[COMPRESSED]
     row[LEAKAGE] = block[LEAKED]
     row[OFFSET] = OFFSET_FLOW * BLOCK * period
     row[VALVE] = block[THROUGH]

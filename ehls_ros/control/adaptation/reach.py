@@ -69,7 +69,7 @@ def sizes(own: Model, limits: Limits) -> Mapping[str, float]:
     low, high = limits.position
     damping = limits.force / limits.velocity
     found = {
-        "leakage_coefficient": flow / plant.supply_pressure,
+        **dict.fromkeys(("leakage_coefficient", "leakage_a", "leakage_b"), flow / plant.supply_pressure),
         "spring_stiffness": limits.force / (high - low),
         "viscous_damping": damping,
         "viscous_coefficient": damping,

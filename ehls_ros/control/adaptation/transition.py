@@ -15,8 +15,11 @@ from ehls_ros.errors import BadInput
 
 WHERE = "accepted rig"
 
+PARTS = ("plant", "friction", "cylinder", "valve")
+"""Parts of a model whose coefficients move."""
+
 MOVING = ("command_delay", "coupling_stiffness", "coupling_damping")
-"""Numbers of a model that move besides plant and friction."""
+"""Numbers of a model that move besides those of its parts."""
 
 NO_SIZES: Mapping[str, float] = MappingProxyType({})
 
@@ -98,9 +101,10 @@ class Transition:
         part = self._elapsed / self.duration
         old, new = self._present, self._wanted
         between = {name: _between(getattr(old, name), getattr(new, name), part) for name in MOVING}
-        plant = type(new.plant)(*(_between(*pair, part) for pair in zip(old.plant, new.plant, strict=True)))
-        friction = type(new.friction)(*(_between(*pair, part) for pair in zip(old.friction, new.friction, strict=True)))
-        return new._replace(plant=plant, friction=friction, **between)
+        for name in PARTS:
+            pairs = zip(getattr(old, name), getattr(new, name), strict=True)
+            between[name] = type(getattr(new, name))(*(_between(*pair, part) for pair in pairs))
+        return new._replace(**between)
 
 
 def with_own_sensors(original: Model, wanted: Model) -> Model:
@@ -109,6 +113,9 @@ def with_own_sensors(original: Model, wanted: Model) -> Model:
 
 
 def _check_kind(original: Model, wanted: Model) -> None:
+    for part in ("cylinder", "valve"):
+        if type(getattr(wanted, part)) is not type(getattr(original, part)):
+            raise BadInput(f"it has another kind of {part}", WHERE, f"the {part} of the controller's rig file")
     if type(wanted.friction) is not type(original.friction):
         names = [type(model.friction).__module__.rpartition(".")[2] for model in (wanted, original)]
         raise BadInput(f"the friction model is {names[0]}", WHERE, f"{names[1]}, as in the controller's rig file")
@@ -120,9 +127,9 @@ def _check_kind(original: Model, wanted: Model) -> None:
 
 
 def _coefficients(original: Model, present: Model, wanted: Model, sizes: Mapping[str, float]) -> Iterator[_Coefficient]:
-    for part in ("plant", "friction"):
+    for part in PARTS:
         models = [getattr(model, part) for model in (original, present, wanted)]
-        for name, *values in zip(models[0]._fields, *models, strict=True):
+        for name, *values in zip(getattr(models[0], "_fields", ()), *models, strict=True):
             if isinstance(values[0], tuple):
                 for index, each in enumerate(zip(*values, strict=True)):
                     yield _Coefficient(f"{name}[{index}]", *each)

@@ -19,7 +19,6 @@ from ehls_ros.physics.rig import SENSED
 from ehls_ros.schema import quantity
 
 ACTUATOR = False
-ONE_PRESSURE = True
 
 STRIDE = 10
 """Cycles between successive small steps of the model."""
@@ -60,7 +59,9 @@ class Adaptation(Companion):
         self._wait = p.wait
         self._next = 0
         self._started: int | None = None
-        self._estimation = Estimation(setting.model, adaptation_limits(p), p.forgetting, _surroundings(setting))
+        self._estimation = Estimation(
+            setting.model, adaptation_limits(p), p.forgetting, _surroundings(setting), setting.cylinder, setting.valve
+        )
 
     @property
     def estimation(self) -> Estimation:

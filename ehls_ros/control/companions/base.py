@@ -31,6 +31,7 @@ class Setting(NamedTuple):
         limits: limits of the rig; None if unknown.
         under_test: valve and cylinder of an actuator under test that is a double rod like the loader; None if that is the
             model's own.
+        cylinder, valve: file names of the model's cylinder and valve.
     """
 
     law: ControllerLaw
@@ -39,6 +40,8 @@ class Setting(NamedTuple):
     actuator: str
     limits: Limits | None = None
     under_test: Plant | None = None
+    cylinder: str = "double_rod"
+    valve: str = "load_flow"
 
 
 class Kept(NamedTuple):

@@ -14,7 +14,7 @@ from ehls_ros.experiments.commissioning.session import ENABLE_TIME, Session, Sto
 from ehls_ros.experiments.commissioning.step import Contradiction, Known, Outcome
 from ehls_ros.experiments.graph_check import laws_for
 from ehls_ros.experiments.loop import controller_of, sampled
-from ehls_ros.experiments.real_rig import adapting
+from ehls_ros.experiments.real_rig import ADAPTING
 from ehls_ros.experiments.spec import Spec
 from ehls_ros.experiments.stepped_run import largest, stepped_run, swing
 from ehls_ros.experiments.tuning.files import EXPERIMENT, experiment_text, parameters_text
@@ -99,7 +99,7 @@ def _experiment(known: Known, period: float, amplitude: float, offset: float) ->
     }
     spec = with_numbers(task_of(known.rig, LAW, content).spec, known.numbers)
     duration = spec.settings._replace(duration=PERIODS / HELD_FREQUENCY)
-    return spec._replace(settings=duration, companions=adapting(known.rig))
+    return spec._replace(settings=duration, companions=ADAPTING)
 
 
 def _wanted(spec: Spec) -> Array:

@@ -21,16 +21,19 @@ These functions are called from Python before a run:
 * ``at_rest(p, plant)`` returns the states of a rig at rest without driving force;
 * ``forces(p, plant)`` returns the lowest and the highest driving force that the supply can hold [N];
 * ``oil_rates(rig, flow)`` returns the largest natural rates of the oil, see :class:`OilRates`;
-* ``equivalent(valve)``, only with ``CHAMBERS``, returns a compiled ``equivalent(m, spool, least, plant, p, v)``: the
+* ``equivalent(valve)`` returns a compiled ``equivalent(m, spool, least, plant, p, v)``: the
   :class:`Equivalent` with the same rate of the driving force at the readings ``m`` (NaN: unknown; those of the chambers may be
   left out) on the side of null of ``spool``; pressure drops are at least ``least`` of the supply pressure, and ``v`` are the
   parameters of the valve;
+* ``load_flow(valve)`` returns, with the same arguments, the compiled flow QL of that double rod at the spool displacement,
+  overlaps and roundings included [m^3/s]; NaN if a pressure drop is less than ``least`` of the supply pressure;
 * ``terms(valve, chains)``, only with ``CHAMBERS``, returns the compiled terms of the chambers' balances, see
   :class:`ehls_ros.physics.cylinder.two_chamber.Terms`;
 * ``build(valve, chains, first)`` returns the compiled functions of the oil, see :class:`~ehls_ros.physics.plant.Oil`;
   ``first`` is the index of its first state in ``y``.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ehls_ros.physics.parameters import Plant
@@ -102,6 +105,12 @@ class Cylinder(Protocol):
 
     def oil_rates(self, rig: "EffectiveRig", flow: float) -> OilRates:
         """Return the largest natural rates of the oil at a flow through the valve [m^3/s]."""
+
+    def equivalent(self, valve: Any) -> Callable[..., Equivalent]:
+        """Build the double rod that the cylinder is at the present readings, with a valve."""
+
+    def load_flow(self, valve: Any) -> Callable[..., float]:
+        """Build the flow of that double rod's valve."""
 
     def build(self, valve: Any, chains: "Chains", first: int) -> "Oil":
         """Return the compiled functions of the oil."""

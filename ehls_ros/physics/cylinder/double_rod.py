@@ -1,11 +1,14 @@
 """Double-rod cylinder of the paper: one state for both chambers, the load pressure."""
 
+import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ehls_ros.arrays import Array, kernel_no_refcount
+from ehls_ros.arrays import Array, kernel, kernel_no_refcount
 from ehls_ros.physics import sensors
-from ehls_ros.physics.cylinder.base import OilRates
+from ehls_ros.physics.cylinder.base import Equivalent, OilRates
 from ehls_ros.physics.equations import load_pressure_rate
+from ehls_ros.physics.parameters import Plant
 from ehls_ros.physics.plant import PL, Chains, Coefficients, Oil, V, relations
 from ehls_ros.physics.rig import EffectiveRig
 
@@ -51,6 +54,30 @@ def oil_rates(rig: EffectiveRig, flow: float) -> OilRates:
     oil = 4.0 * p.bulk_modulus / p.total_volume
     column, leakage = oil * p.piston_area**2, oil * p.leakage_coefficient
     return OilRates(column, leakage, 0.5 * oil * flow / p.supply_pressure, ("bulk_modulus", "piston_area", "total_volume"))
+
+
+def equivalent(valve: Any) -> Callable[..., Equivalent]:
+    """Build the double rod at the present readings: the cylinder itself."""
+
+    @kernel
+    def local(m: Array, spool: float, least: float, plant: Plant, p: Any, v: Any) -> Equivalent:
+        return Equivalent(plant, sensors.read_supply(m, plant), 0.0, 1.0)
+
+    return local
+
+
+def load_flow(valve: Any) -> Callable[..., float]:
+    """Build the flow (1) at the present readings."""
+    through = valve.load_flow
+
+    @kernel
+    def local(m: Array, spool: float, least: float, plant: Plant, p: Any, v: Any) -> float:
+        side, supply, pressure = -1.0 if spool < 0.0 else 1.0, sensors.read_supply(m, plant), m[sensors.LOAD_PRESSURE]
+        known = supply - side * pressure >= least * plant.supply_pressure
+        flow: float = through(spool, side, pressure, supply, plant) if known else math.nan  # (1)
+        return flow
+
+    return local
 
 
 def build(valve: Any, chains: Chains, first: int) -> Oil:

@@ -195,6 +195,43 @@ def _compressions(x: float, modulus: float, p: Parameters) -> tuple[float, float
     return p.area_a / soft_a, p.area_b / soft_b
 
 
+class Drops(NamedTuple):
+    """Pressures at the open edges.
+
+    Attributes:
+        port_a, port_b: pressures at the ports of A and B [Pa].
+        drop_a, drop_b: pressure drops between chamber and port [Pa].
+        mean: that of the double rod [Pa].
+        largest: driving force without flow, times the side [N].
+        known: whether none of them is raised to the least.
+    """
+
+    port_a: float
+    port_b: float
+    drop_a: float
+    drop_b: float
+    mean: float
+    largest: float
+    known: bool
+
+
+@kernel
+def _drops(m: Array, side: float, ratio_a: float, ratio_b: float, floor: float, plant: Plant, p: Parameters) -> Drops:
+    """Return the pressures at the edges open on a side, by readings of both chambers or as in steady motion."""
+    supply, tank, area = sensors.read_supply(m, plant), p.tank_pressure, plant.piston_area
+    pressure = m[sensors.LOAD_PRESSURE] if math.isfinite(m[sensors.LOAD_PRESSURE]) else 0.0
+    port_a, port_b = (supply, tank) if side > 0.0 else (tank, supply)
+    largest = side * (p.area_a * port_a - p.area_b * port_b)
+    mean = max(largest / area - side * pressure, floor)
+    factor = area * mean / (p.area_a * ratio_a + p.area_b * ratio_b)
+    drop_a, drop_b, known = factor * ratio_a, factor * ratio_b, mean > floor
+    if m.size > sensors.PRESSURE_B and math.isfinite(m[sensors.PRESSURE_A]) and math.isfinite(m[sensors.PRESSURE_B]):
+        drop_a = max(side * (port_a - m[sensors.PRESSURE_A]), floor)
+        drop_b = max(side * (m[sensors.PRESSURE_B] - port_b), floor)
+        known = min(drop_a, drop_b) > floor
+    return Drops(port_a, port_b, drop_a, drop_b, mean, largest, known)
+
+
 def equivalent(valve: Any) -> Callable[..., Equivalent]:
     """Build the double rod that the cylinder is at the present readings.
 
@@ -207,29 +244,18 @@ def equivalent(valve: Any) -> Callable[..., Equivalent]:
     @kernel
     def local(m: Array, spool: float, least: float, plant: Plant, p: Parameters, v: Any) -> Equivalent:
         x = m[sensors.POSITION] if math.isfinite(m[sensors.POSITION]) else 0.0
-        mean = m[sensors.LOAD_PRESSURE] if math.isfinite(m[sensors.LOAD_PRESSURE]) else 0.0
-        supply = m[sensors.SUPPLY_PRESSURE] if math.isfinite(m[sensors.SUPPLY_PRESSURE]) else plant.supply_pressure
         side = -1.0 if spool < 0.0 else 1.0
         area, tank, modulus = plant.piston_area, p.tank_pressure, plant.bulk_modulus
         offset = 0.5 * (p.area_a - p.area_b) * (plant.supply_pressure + tank)
-        # The pressures at the ports of A and B for this side.
-        port_a, port_b = (supply, tank) if side > 0.0 else (tank, supply)
-        largest = side * (p.area_a * port_a - p.area_b * port_b)
-        drop = max(largest / area - side * mean, least * plant.supply_pressure)
         ratio_a, ratio_b = drop_ratio(side, p.area_a, p.area_b, v)
-        factor = area * drop / (p.area_a * ratio_a + p.area_b * ratio_b)
-        drop_a, drop_b = factor * ratio_a, factor * ratio_b
-        if m.size > sensors.PRESSURE_B and math.isfinite(m[sensors.PRESSURE_A]) and math.isfinite(m[sensors.PRESSURE_B]):
-            floor = least * plant.supply_pressure
-            drop_a = max(side * (port_a - m[sensors.PRESSURE_A]), floor)
-            drop_b = max(side * (m[sensors.PRESSURE_B] - port_b), floor)
-        flow_a, flow_b = gains(side, drop_a, drop_b, v, plant)
+        at = _drops(m, side, ratio_a, ratio_b, least * plant.supply_pressure, plant, p)
+        flow_a, flow_b = gains(side, at.drop_a, at.drop_b, v, plant)
         part_a, part_b = _compressions(x, modulus, p)
         stiffness = p.area_a * part_a + p.area_b * part_b
         middle_a, middle_b = _compressions(0.0, modulus, p)
         # QL per opening that raises the force of the double rod as fast, and Cd of (1) for it.
         flow = area * (part_a * flow_a - part_b * flow_b) / stiffness
-        discharge = flow * math.sqrt(plant.oil_density / drop) / plant.valve_area_gradient
+        discharge = flow * math.sqrt(plant.oil_density / at.mean) / plant.valve_area_gradient
         local_plant = Plant(
             plant.supply_pressure - tank,
             plant.oil_density,
@@ -249,10 +275,29 @@ def equivalent(valve: Any) -> Callable[..., Equivalent]:
         )
         return Equivalent(
             local_plant,
-            (largest - side * offset) / area,
+            (at.largest - side * offset) / area,
             offset,
             stiffness / (p.area_a * middle_a + p.area_b * middle_b),
         )
+
+    return local
+
+
+def load_flow(valve: Any) -> Callable[..., float]:
+    """Build the flow of the double rod that the cylinder is at the present readings, from those of both chambers."""
+    drop_ratio, chamber_flows = valve.drop_ratio, valve.chamber_flows
+
+    @kernel
+    def local(m: Array, spool: float, least: float, plant: Plant, p: Parameters, v: Any) -> float:
+        side = -1.0 if spool < 0.0 else 1.0
+        ratio_a, ratio_b = drop_ratio(side, p.area_a, p.area_b, v)
+        at = _drops(m, side, ratio_a, ratio_b, least * plant.supply_pressure, plant, p)
+        if not at.known:
+            return math.nan
+        a, b = at.port_a - side * at.drop_a, at.port_b + side * at.drop_b
+        flow_a, flow_b, _ = chamber_flows(spool, sensors.read_supply(m, plant), a, b, p.tank_pressure, v, plant)
+        part_a, part_b = _compressions(m[sensors.POSITION], plant.bulk_modulus, p)
+        return plant.piston_area * (part_a * flow_a - part_b * flow_b) / (p.area_a * part_a + p.area_b * part_b)
 
     return local
 
