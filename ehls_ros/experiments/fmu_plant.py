@@ -14,7 +14,6 @@ from ehls_ros.experiments.run_failure import Implausible, RunFailed
 from ehls_ros.experiments.spec import Spec, check_spec
 from ehls_ros.fmu.foreign_plant import ForeignPlant
 from ehls_ros.fmu.plant_map import PlantMap, map_from_mapping
-from ehls_ros.physics.rig import SENSED, check_one_pressure
 from ehls_ros.physics.sensors import VELOCITY
 from ehls_ros.recording.yaml_text import read_yaml
 from ehls_ros.trajectory import Trajectory
@@ -35,7 +34,6 @@ def fmu_plant(spec: Spec, path: Path, plant_map: Path | None) -> ForeignPlant:
         BadInput: FMU or map cannot be used, or the experiment's actuator under test reacts to the loader.
         WorkFailed: the FMU crashed or hung.
     """
-    check_one_pressure(spec.rig, "a map of an FMU's variables", spec.settings.title)
     if spec.servo() is not None:
         expected = "a disturbance by force, as the actuator under test is an input of the FMU"
         raise BadInput(f"the disturbance {spec.disturbance.name} reacts to the loader", spec.settings.title, expected)
@@ -71,13 +69,13 @@ def run_on_fmu(
     disturbance = kind.build(spec.disturbance.parameters, actuator, spec.rig, period).rows(0, cycles)
     law = controller_of(spec)
     observer = FrictionEstimator(spec.compensation.name, spec.controller_rig, period, spec.compensation.parameters)
-    columns = Columns.of(observer.state.estimate.size, len(SENSED))
+    columns = Columns.of(observer.state.estimate.size, len(spec.rig.sensed))
     record = np.empty((cycles, columns.status.stop))
     random, failure, done = np.random.default_rng(spec.settings.seed), None, cycles
     plant = fmu_plant(spec, path, plant_map)
     try:
         for cycle in range(cycles):
-            measured = plant.measure(random.standard_normal(len(SENSED)))
+            measured = plant.measure(random.standard_normal(len(spec.rig.sensed)))
             estimate = observer.update(float(measured[VELOCITY]))
             outlook = Outlook(cycle, place[cycle], actuator_rows[cycle])
             command = law.step(measured, wanted[cycle], estimate, outlook=outlook)

@@ -23,7 +23,7 @@ from ehls_ros.fmu.library import headers
 from ehls_ros.fmu.plant_map import INPUT_UNITS, Described, PlantMap, Wiring, wired
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plausibility import implausible
-from ehls_ros.physics.rig import SENSED, Rig
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE
 
 PREPARATION = 60.0
@@ -31,6 +31,9 @@ PREPARATION = 60.0
 
 ANSWER = 5.0
 """Longest time for a step [s]."""
+
+CHAMBERS = frozenset(CHAMBER_SENSED)
+"""Readings of a cylinder with two chambers, without which a law takes those of steady motion."""
 
 
 class FmuProcess:
@@ -150,7 +153,7 @@ class ForeignPlant:
     Attributes:
         rig: the rig file that describes it.
         period: control period [s].
-        truth: readings, in the order of ``SENSED``.
+        truth: readings, in the order of ``rig.sensed``; NaN for the pressure of a chamber that the FMU lacks.
         acting: disturbance of the last period.
         servo: empty: the actuator under test is an input.
         cycle: number of control periods completed.
@@ -190,14 +193,14 @@ class ForeignPlant:
         self.acting = np.zeros(4)
         self.servo = np.zeros(0)
         self.lost = ""
-        self._noise_std = np.array([rig.sensors.get(signal, Sensor()).noise_std for signal in SENSED])
+        self._noise_std = np.array([rig.sensors.get(signal, Sensor()).noise_std for signal in rig.sensed])
         self._warming, self._temperature = warming, temperature
         self._process = FmuProcess(path)
         try:
             answer = self._process.open()
             self.version = str(answer["version"])
             variables = {entry["name"]: Described(**entry) for entry in answer["variables"]}
-            self._wiring: Wiring = wired(variables, plant_map, str(path), {"initial_position": position})
+            self._wiring: Wiring = wired(variables, plant_map, str(path), {"initial_position": position}, rig.sensed)
             minus = [link.minus for link in self._wiring.outputs if link.minus is not None]
             outputs = [*(link.reference for link in self._wiring.outputs), *minus]
             request = {
@@ -212,6 +215,7 @@ class ForeignPlant:
         except BaseException:
             self._process.close()
             raise
+        self._lacking = CHAMBERS - {link.signal for link in self._wiring.outputs}
         self.truth = self._readings(first)
 
     def _row(self, command: float) -> list[float]:
@@ -225,15 +229,18 @@ class ForeignPlant:
         for link, value in zip(self._wiring.outputs, values, strict=False):
             less = 0.0 if link.minus is None else next(rest)
             found[link.signal] = link.scale * (value - less) + link.offset
-        area = self.rig.plant.piston_area
+        area, chambers = self.rig.plant.piston_area, self.rig.cylinder.parameters
+        if set(found) >= CHAMBERS:
+            driving = chambers.area_a * found["pressure_a"] - chambers.area_b * found["pressure_b"]
+            found.setdefault("load_pressure", driving / area)
         found.setdefault("force", area * found.get("load_pressure", math.nan))
         found.setdefault("load_pressure", found["force"] / area)
         found.setdefault("supply_pressure", self.rig.plant.supply_pressure)
         found.setdefault("oil_temperature", self._temperature)
-        return np.array([found[signal] for signal in SENSED])
+        return np.array([found.get(signal, math.nan) for signal in self.rig.sensed])
 
     def measure(self, noise: Array) -> Array:
-        """Return the readings in the order of ``SENSED``, with the noise of the rig file's sensors.
+        """Return the readings in the order of ``rig.sensed``, with the noise of the rig file's sensors.
 
         Args:
             noise: standard normal numbers, shape (signals,).
@@ -253,21 +260,22 @@ class ForeignPlant:
             return 0
         self._temperature += self._warming * self.period
         self.truth = self._readings(self._out.unpack(answer))
-        if not np.isfinite(self.truth).all():
-            signals = [signal for signal, value in zip(SENSED, self.truth, strict=True) if not math.isfinite(value)]
+        signals = [signal for signal, value in zip(self.rig.sensed, self.truth, strict=True) if not math.isfinite(value)]
+        if set(signals) - self._lacking:
             self._lose(f"the FMU returned NaN or infinity for {', '.join(signals)}")
         return 0
 
     def _lose(self, reason: str) -> None:
         self.lost = f"{reason} (at {self.cycle * self.period:g} s)"
-        self.truth = np.full(len(SENSED), math.nan)
+        self.truth = np.full(len(self.rig.sensed), math.nan)
         self._process.close()
 
     def trouble(self) -> str:
         """Return why the FMU was lost, or its impossible reading; empty if there is none."""
         if self.lost:
             return self.lost
-        found = implausible(self.truth[np.newaxis], self.rig.limits)
+        # Pressures of chambers have no limits, and may be lacking.
+        found = implausible(self.truth[np.newaxis, : len(SENSED)], self.rig.limits)
         return "" if found is None else f"{found.what} (at {self.cycle * self.period:g} s)"
 
     def close(self) -> None:

@@ -1,12 +1,12 @@
 """Map of a foreign FMU's variables to the signals of a plant, with units."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.fmu.model import Causality
 from ehls_ros.fmu.unit_definitions import SIGNAL_UNITS
-from ehls_ros.physics.rig import SENSED
+from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED
 from ehls_ros.schema import parse, text
 from ehls_ros.units import UNITS, unit_of
 
@@ -23,10 +23,10 @@ INPUT_UNITS: Mapping[str, str] = {
 NEEDED = ("valve_command", "disturbance_force")
 """Inputs without which an FMU is no plant of an experiment."""
 
-OUTPUT_UNITS: Mapping[str, str] = {signal: SIGNAL_UNITS[signal] for signal in SENSED}
+OUTPUT_UNITS: Mapping[str, str] = {signal: SIGNAL_UNITS[signal] for signal in (*SENSED, *CHAMBER_SENSED)}
 
-DERIVED = ("load_pressure", "force", "supply_pressure", "oil_temperature")
-"""Readings that follow from others or from the rig file where the FMU has none."""
+DERIVED = ("load_pressure", "force", "supply_pressure", "oil_temperature", *CHAMBER_SENSED)
+"""Readings that follow from others or from the rig file where the FMU has none, or that the law can do without."""
 
 Section = Literal["inputs", "outputs"]
 
@@ -129,7 +129,13 @@ def map_from_mapping(data: Any, where: str) -> PlantMap:
     return PlantMap(found["inputs"], found["outputs"], {str(name): float(value) for name, value in parameters.items()})
 
 
-def wired(variables: Mapping[str, Described], plant_map: PlantMap, where: str, start: Mapping[str, float]) -> Wiring:
+def wired(
+    variables: Mapping[str, Described],
+    plant_map: PlantMap,
+    where: str,
+    start: Mapping[str, float],
+    sensed: Sequence[str],
+) -> Wiring:
     """Match a map with the variables of an FMU; a signal that is not in the map is the variable of its name, if there is one.
 
     Args:
@@ -137,19 +143,24 @@ def wired(variables: Mapping[str, Described], plant_map: PlantMap, where: str, s
         plant_map: the map.
         where: FMU and map, for errors.
         start: values of parameters that an exported rig has, such as its initial position.
+        sensed: signals of the rig.
 
     Raises:
         BadInput: a variable is missing or has another causality or type, units do not fit, or a needed signal has none.
     """
     inputs = _links(variables, plant_map.inputs, INPUT_UNITS, "input", where)
-    outputs = _links(variables, plant_map.outputs, OUTPUT_UNITS, "output", where)
+    for signal in set(plant_map.outputs) - set(sensed):
+        raise BadInput(f"the rig file's cylinder has no {signal}", f"{where}: outputs", "cylinder: {model: two_chamber}")
+    outputs = _links(variables, plant_map.outputs, {signal: OUTPUT_UNITS[signal] for signal in sensed}, "output", where)
     has = {link.signal for link in (*inputs, *outputs)}
-    for signal in (*NEEDED, *(name for name in OUTPUT_UNITS if name not in DERIVED)):
+    for signal in (*NEEDED, *(name for name in sensed if name not in DERIVED)):
         if signal not in has:
             section: Section = "inputs" if signal in INPUT_UNITS else "outputs"
             raise BadInput(f"the FMU has no variable {signal}", where, f"a map with the entry {section}: {signal}")
-    if not has & {"load_pressure", "force"}:
-        raise BadInput("the FMU has neither load_pressure nor force", where, "a map with the entry outputs: load_pressure")
+    if not (has & {"load_pressure", "force"} or has >= set(CHAMBER_SENSED)):
+        both = " or both pressures" if set(CHAMBER_SENSED) <= set(sensed) else ""
+        expected = "a map with the entry outputs: load_pressure"
+        raise BadInput(f"the FMU has neither load_pressure nor force{both}", where, expected)
     values = {name: value for name, value in start.items() if name in variables}
     parameters = {
         _found(variables, name, "parameter", where).reference: value

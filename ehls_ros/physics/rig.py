@@ -371,22 +371,6 @@ def _derived_sensors(rig: Rig) -> dict[str, Sensor]:
     return {"load_pressure": Sensor(noise_std=math.hypot(*noise))}
 
 
-def check_one_pressure(rig: Rig, task: str, where: str) -> None:
-    """Check that a rig's cylinder has a load pressure as its only state, for a task that has no other volume balance.
-
-    Args:
-        rig: the rig.
-        task: the task, for error messages.
-        where: the file or recording, for error messages.
-
-    Raises:
-        BadInput: the pressures of both chambers are states.
-    """
-    if rig.cylinder.law.CHAMBERS:
-        expected = f"model: double_rod, the only cylinder for which there is {task}"
-        raise BadInput(f"the rig's cylinder is {rig.cylinder.model}", f"{where}: cylinder", expected)
-
-
 def check_effects(rig: Rig, where: str) -> None:
     """Check that a rig's effects are compatible with its cylinder and its friction model.
 

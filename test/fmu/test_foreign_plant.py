@@ -72,6 +72,42 @@ def test_units_signs_and_derived_readings(plant_of, rig):
     assert plant.trouble() == ""
 
 
+@pytest.fixture
+def single_rod_of(other):
+    made = []
+
+    def build(**outputs):
+        data = {
+            **MAP,
+            "outputs": {**{name: MAP["outputs"][name] for name in ("position", "velocity", "spool_position")}, **outputs},
+        }
+        made.append(ForeignPlant(other, map_from_mapping(data, "map"), load_rig(configured("rig_single_rod")), PERIOD))
+        return made[-1]
+
+    yield build
+    for plant in made:
+        plant.close()
+
+
+def test_force_of_a_single_rod_follows_from_its_pressures(single_rod_of):
+    plant = single_rod_of(pressure_a="pA", pressure_b="pB")
+    for _ in range(10):
+        plant.advance(2e-3, -1500.0, 0.0, 0.0, 0.0)
+    reading = dict(zip(plant.rig.sensed, plant.truth, strict=True))
+    p = plant.rig.cylinder.parameters
+    assert reading["pressure_a"] != reading["pressure_b"]
+    assert reading["force"] == pytest.approx(p.area_a * reading["pressure_a"] - p.area_b * reading["pressure_b"])
+    assert reading["load_pressure"] == pytest.approx(reading["force"] / plant.rig.plant.piston_area)
+    assert plant.trouble() == ""
+
+
+def test_a_single_rod_needs_no_pressures_beside_a_load_pressure(single_rod_of):
+    plant = single_rod_of(load_pressure=MAP["outputs"]["load_pressure"])
+    plant.advance(2e-3, -1500.0, 0.0, 0.0, 0.0)
+    assert np.array_equal(np.isnan(plant.truth), [name in ("pressure_a", "pressure_b") for name in plant.rig.sensed])
+    assert plant.trouble() == ""
+
+
 @pytest.mark.parametrize(
     ("misdeed", "reason"),
     [
@@ -115,6 +151,10 @@ def test_killed_process_is_reported(plant_of):
             "factor is 0",
         ),
         ({**MAP, "parameters": {"u": 1.0}}, "u is of causality input"),
+        (
+            {**MAP, "outputs": {**MAP["outputs"], "pressure_a": "pA"}},
+            "cylinder has no pressure_a; expected cylinder: {model: two",
+        ),
         ({"outputs": {"speed": "v"}}, "signal 'speed' is unknown"),
         ({"wires": {}}, "'wires' is no section"),
         ({"parameters": {"misdeed": "a lot"}}, "misdeed is 'a lot'"),

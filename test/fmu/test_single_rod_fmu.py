@@ -8,6 +8,7 @@ from fmpy.validation import validate_fmu
 from stepped_fmu import stepped
 
 from ehls_ros.experiments.files import configured
+from ehls_ros.experiments.fmu_plant import run_on_fmu
 from ehls_ros.experiments.loop import run_in_process, sampled
 from ehls_ros.experiments.spec import load_spec, spec_from_mapping, spec_to_mapping
 from ehls_ros.fmu.archive import fmu
@@ -29,6 +30,16 @@ def single_rod():
     data["controller_rig"] = data["rig"]
     data["duration"] = 0.3
     return spec_from_mapping(data, "single rod", configured("rig_paper").parent)
+
+
+@pytest.mark.long
+def test_exported_single_rod_is_the_simulator_in_an_experiment(tmp_path):
+    spec = single_rod()
+    (tmp_path / "plant.fmu").write_bytes(fmu(plant_model(spec.rig, "plant", PERIOD), "3.0", {}, "test", ["linux"]))
+    found, failure = run_on_fmu(spec, tmp_path / "plant.fmu", None, lambda done, total: None)
+    assert failure is None
+    for name, values in run_in_process(spec).signals.items():
+        assert np.array_equal(found.signals[name], values), name
 
 
 @pytest.mark.long
