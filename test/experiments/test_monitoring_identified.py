@@ -161,7 +161,7 @@ def test_headline_and_table_have_the_same_number(rig, anew):
     change = FoundChange(1, (cause,), "flow", (), 1.0, 1.0, 1.0, 2.0, 2.0)
     before = rig.plant.leakage_coefficient
     read = (Reading("leakage_coefficient", before + 3e-12, 2e-13, "m^5/(N s)"), Reading("valve_gain", 1.0, 1e-3, "1"))
-    [now], readings = agreed((change,), read, rig, read_anew=anew)
+    [now], readings = agreed((change,), read, rig, anew, {})
     size = now.causes[0].parameters["added"]
     assert readings[0].value - before == pytest.approx(size.value)
     assert readings[0].deviation == pytest.approx(size.std)
@@ -169,8 +169,17 @@ def test_headline_and_table_have_the_same_number(rig, anew):
     assert readings[1] == read[1]
 
 
+def test_the_size_of_a_change_has_the_errors_of_both_identifications(rig):
+    cause = FoundCause("mass_shift", "force_balance", 0.9, (), {"factor": Estimate(1.2, 0.01, "1")})
+    change = FoundChange(1, (cause,), "force_balance", (), 1.0, 1.0, 1.0, 2.0, 2.0)
+    before = rig.plant.moving_mass
+    read = (Reading("moving_mass", 1.1 * before, 0.003 * before, "kg"),)
+    [now], _ = agreed((change,), read, rig, True, {"moving_mass": 0.004 / 1.1 * before})
+    assert now.causes[0].parameters["factor"] == (pytest.approx(1.1), pytest.approx(0.005), "1")
+
+
 def test_what_is_not_identified_gives_no_size(rig):
     cause = FoundCause("mass_shift", "force_balance", 0.9, (), {"factor": Estimate(1.2, 0.01, "1")})
     change = FoundChange(1, (cause,), "force_balance", (), 1.0, 1.0, 1.0, 2.0, 2.0)
     read = (Reading("moving_mass", 70.0, math.inf, "kg", "not excited by the programme"),)
-    assert agreed((change,), read, rig, read_anew=True) == ((change,), read)
+    assert agreed((change,), read, rig, True, {}) == ((change,), read)

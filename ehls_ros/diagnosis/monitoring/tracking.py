@@ -86,11 +86,12 @@ class Tracked(NamedTuple):
         moved = value * change.value if self.relative else value + change.value
         return Estimate(moved, abs(scale) * change.std, change.unit)
 
-    def change(self, value: float, now: Estimate) -> Estimate:
-        """Return the change of the parameter, from its value before and its value now."""
+    def change(self, value: float, now: Estimate, error: float = 0.0) -> Estimate:
+        """Return the change of the parameter, from its value before, with the standard error of that, and its value now."""
         if self.relative:
-            return Estimate(now.value / value, now.std / abs(value), "1")
-        return Estimate(now.value - value, now.std, now.unit)
+            ratio = now.value / value
+            return Estimate(ratio, math.hypot(now.std, ratio * error) / abs(value), "1")
+        return Estimate(now.value - value, math.hypot(now.std, error), now.unit)
 
     def unit(self, rig: Rig) -> str:
         """Return the unit of the coefficient."""

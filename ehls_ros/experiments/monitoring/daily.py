@@ -13,7 +13,7 @@ from ehls_ros.experiments.monitoring.health import Health, State, agreed
 from ehls_ros.experiments.monitoring.memory import COEFFICIENTS, HEADING, STATE, UNUSABLE, check_cells
 from ehls_ros.experiments.monitoring.monitor import Parameters
 from ehls_ros.experiments.monitoring.replay import MonitoringResult
-from ehls_ros.experiments.monitoring.saved_state import change_of, readings_of, rig_of
+from ehls_ros.experiments.monitoring.saved_state import change_of, identification_of, readings_of, rig_of
 from ehls_ros.experiments.monitoring.trends import MAX_HISTORY, rates
 from ehls_ros.experiments.state_files import table
 from ehls_ros.experiments.state_files.kinds import MONITOR, MonitorState
@@ -47,7 +47,8 @@ def results_of_day(folder: Path, day: date) -> tuple[MonitoringResult, datetime]
         found = state.identification
         healthy = rig_of(state.well, read.origin)
         rig = healthy if found is None or not found.wrong else rig_of(found.rig, read.origin)
-        changes, readings = agreed(tuple(map(change_of, state.changes)), readings_of(state.readings), healthy, read_anew=True)
+        errors = {} if found is None else identification_of(found, read.origin).errors()
+        changes, readings = agreed(tuple(map(change_of, state.changes)), readings_of(state.readings), healthy, True, errors)
     except BadInput:
         raise
     except UNUSABLE as error:

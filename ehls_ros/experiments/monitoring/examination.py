@@ -39,6 +39,7 @@ class Task(NamedTuple):
         preferred: effects to be preferred to equivalent ones, in order of preference.
         identify: recordings from which the rig is identified, by name; none: no identification.
         identified: the rig identified from the baselines, if that is known.
+        errors: standard errors of the model's tracked coefficients, by name.
     """
 
     recording: Trajectory | None
@@ -47,6 +48,7 @@ class Task(NamedTuple):
     preferred: tuple[str, ...] = ()
     identify: Mapping[str, Trajectory] = {}
     identified: RigIdentification | None = None
+    errors: Mapping[str, float] = {}
 
     @property
     def length(self) -> float:
@@ -112,7 +114,7 @@ def examine(task: Task) -> Finding:
     A diagnosis without a previous identification is followed by one with its causes, which gives their sizes.
     """
     if not task.identify and task.recording is not None:
-        return _sized(_diagnosed(task, task.recording), task.recording, task.rig)
+        return _sized(_diagnosed(task, task.recording), task, task.recording)
     identification = identify(task.identify, task.rig)
     if task.recording is None:
         return Finding("insufficient", (), task.rig, identification=identification)
@@ -126,13 +128,13 @@ def examine(task: Task) -> Finding:
     return _diagnosed(task, task.recording)._replace(identification=identification)
 
 
-def _sized(found: Finding, recording: Trajectory, before: Rig) -> Finding:
+def _sized(found: Finding, task: Task, recording: Trajectory) -> Finding:
     """Return a result with the sizes of its causes identified jointly with all coefficients of the rig.
 
     Args:
         found: the result of a diagnosis.
+        task: the task, with the rig without the causes.
         recording: the diagnosed samples.
-        before: the rig without the causes.
     """
     identification = identify({"the latest samples": recording}, found.rig) if found.names_causes else None
     if identification is None:
@@ -145,7 +147,7 @@ def _sized(found: Finding, recording: Trajectory, before: Rig) -> Finding:
             name = names.get((cause.name, parameter), "")
             if name in known:
                 tracked = COEFFICIENTS[name]
-                sizes[parameter] = tracked.change(tracked.given(before), known[name])
+                sizes[parameter] = tracked.change(tracked.given(task.rig), known[name], task.errors.get(name, 0.0))
                 rig = _with_total(rig, tracked, known[name].value)
         causes.append(cause._replace(parameters=sizes))
     return found._replace(causes=tuple(causes), rig=rig, identification=identification)

@@ -229,7 +229,11 @@ class Health(NamedTuple):
 
 
 def agreed(
-    changes: Sequence[FoundChange], found: Sequence[Reading], healthy: Rig, read_anew: bool
+    changes: Sequence[FoundChange],
+    found: Sequence[Reading],
+    healthy: Rig,
+    read_anew: bool,
+    errors: Mapping[str, float],
 ) -> tuple[tuple[FoundChange, ...], tuple[Reading, ...]]:
     """Return changes and readings with the same number for the same quantity.
 
@@ -239,6 +243,7 @@ def agreed(
         healthy: the healthy rig, from which a diagnosis starts.
         read_anew: whether the readings are of samples since the last diagnosis. If so, the size of a change follows the
             reading, which is fitted jointly with all other coefficients; otherwise, the reading follows the diagnosis.
+        errors: standard errors of the healthy rig's coefficients, by name.
     """
     current, out = {reading.name: reading for reading in found}, list[FoundChange]()
     names = {(t.effect, t.parameter): name for name, t in COEFFICIENTS.items()}
@@ -255,10 +260,11 @@ def agreed(
                 continue
             before = tracked.given(healthy)
             if read_anew and reading.identified and (before or not tracked.relative):
-                sizes[parameter] = tracked.change(before, Estimate(reading.value, reading.deviation, size.unit))
+                now = Estimate(reading.value, reading.deviation, size.unit)
+                sizes[parameter] = tracked.change(before, now, errors.get(name, 0.0))
             elif not read_anew and math.isfinite(size.std):
-                now = tracked.changed(before, size)
-                current[name] = Reading(name, now.value, now.std, reading.unit)
+                total = tracked.changed(before, size)
+                current[name] = Reading(name, total.value, total.std, reading.unit)
         out.append(change._replace(causes=(cause._replace(parameters=sizes), *change.causes[1:])))
     return tuple(out), tuple(current[reading.name] for reading in found)
 

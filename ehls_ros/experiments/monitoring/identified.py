@@ -57,6 +57,10 @@ class Identification(NamedTuple):
             {name: self.why_not[path] for name, path in paths.items() if path in self.why_not},
         )
 
+    def errors(self) -> dict[str, float]:
+        """Return the standard errors of the tracked coefficients of the model, by their names; a right rig file has none."""
+        return {name: estimate.std for name, estimate in self.readings().items()} if self.wrong else {}
+
     def readings(self) -> dict[str, Estimate]:
         """Return the identified ones of the tracked coefficients, by their names."""
         return {name: self.estimates[c.path] for name, c in COEFFICIENTS.items() if c.path in self.estimates}
