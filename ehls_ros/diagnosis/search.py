@@ -333,7 +333,7 @@ def _exchanged(
         scale = inflations(evidence, [best, *[rival for place in places for rival in place.rivals]])
         if exchanges == MAX_EXCHANGES:
             break
-        simple = simpler(best, places, scale)
+        simple = simpler(best, places, scale, beside_form=evidence.standard.form_is_noise)
         # Do not return to a simpler hypothesis that was already exchanged for this one.
         if simple is not None and _key(simple.hypothesis) not in visited:
             best = simple
@@ -375,15 +375,17 @@ def _key(hypothesis: Sequence[Candidate]) -> frozenset[tuple[str, int]]:
     return frozenset((c.name, c.number) for c in hypothesis)
 
 
-def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, float]) -> Assessment | None:
-    """Return a rival with fewer parameters that is nearly as good, or as good and nearer to the recording, if there is one.
-
-    More parameters that fit worse are those of a fit that a bound or an error of form holds back.
+def simpler(
+    best: Assessment, places: Sequence[Place], scale: Mapping[Channel, float], *, beside_form: bool = False
+) -> Assessment | None:
+    """Return a rival with fewer parameters that is nearly as good, if there is one.
 
     Args:
         best: the best hypothesis.
         places: one for each of its causes.
         scale: divisor of each channel's losses.
+        beside_form: whether errors of the model's form count as noise: then more parameters must gain steadily, as they also
+            describe such an error.
     """
     for candidate, place in zip(best.hypothesis[len(best.hypothesis) - len(places) :], places, strict=True):
         total = best.score(scale) - place.without.score(scale)
@@ -391,7 +393,7 @@ def simpler(best: Assessment, places: Sequence[Place], scale: Mapping[Channel, f
             other = rival.hypothesis[-1]
             behind = best.score(scale) - rival.score(scale)
             allowed = max(rules.NEEDED_GAIN if other.name == candidate.name else 0.0, rules.SIMPLER * total)
-            if rival.fit.channels == best.fit.channels and rival.fit.loss < best.fit.loss:
+            if beside_form and steadiness(best, rival, scale) < rules.MIN_SIGMAS:
                 allowed = max(allowed, rules.EQUAL_FRACTION * total)
             if len(other.free) < len(candidate.free) and behind < allowed:
                 return rival

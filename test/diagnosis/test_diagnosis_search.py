@@ -383,12 +383,16 @@ def test_fewer_parameters_are_preferred_where_little_is_lost(rival, behind, take
     assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
 
 
-@pytest.mark.parametrize(("behind", "loss", "taken"), [(0.9, -1.0, True), (1.1, -1.0, False), (0.9, 1.0, False)])
-def test_fewer_parameters_that_fit_better_are_preferred_among_equals(behind, loss, taken):
-    best = scored((TWO,), 1000.0)
-    other = scored((MASS,), 1000.0 * (1.0 - behind * rules.EQUAL_FRACTION))
-    other = other._replace(fit=other.fit._replace(loss=best.fit.loss + loss))
-    assert simpler(best, [Place(scored((), 0.0), (other,))], FORCE) is (other if taken else None)
+@pytest.mark.parametrize(("behind", "steady", "taken"), [(0.9, False, True), (0.9, True, False), (1.1, False, False)])
+def test_more_parameters_must_gain_steadily_beside_errors_of_form(behind, steady, taken):
+    gain = behind * rules.EQUAL_FRACTION * 1000.0
+    best, other = scored((TWO,), 1000.0), scored((MASS,), 1000.0 - gain)
+    if not steady:
+        ahead = np.full(12, 1000.0 / 12.0) + np.eye(12)[0] * gain - gain / 12.0
+        best = assessed((TWO,), {"force": np.zeros(12)}, np.zeros(2), {"force": ahead + 2.0 * rules.PENALTY / 12.0})
+    places = [Place(scored((), 0.0), (other,))]
+    assert simpler(best, places, FORCE, beside_form=True) is (other if taken else None)
+    assert simpler(best, places, FORCE) is None
 
 
 @pytest.mark.parametrize(
