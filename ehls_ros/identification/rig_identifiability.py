@@ -48,8 +48,8 @@ FORM_WINDOWS = 40.0
 """Number of windows over which an error of the model's form averages out, however long the recording.
 
 It depends on the operating point, to which the rig returns, so that the jackknife over stretches sees too little of it. Origin:
-with 100, the errors of mass and Coulomb friction of eight rigs of benchmarks.strangers, seed 378101, whose friction is of another
-law, were 1.6 times their standard errors (rms).
+with 100, the errors of mass and Coulomb friction of eight rigs of benchmarks.strangers, seed 378101, whose friction is of
+another law, were 1.6 times their standard errors (rms).
 """
 
 NO_FORM = 1.2
