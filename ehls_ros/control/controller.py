@@ -23,8 +23,11 @@ from ehls_ros.physics.valve import VALVES
 BUMP_TIME = 0.02
 """Time constant of the transition of the command from the old tuning or controller to the new one [s]."""
 
-ADAPTATION_LIMITS = adaptation.adaptation_limits(adaptation.Parameters())
-"""Bounds and rate of the model's transition to an accepted rig, equal to those of adaptation."""
+ACCEPTED_RATE = 0.2
+"""Largest relative change per second on the way to an accepted rig: a fifth of adaptation's, as no force is at risk."""
+
+ADAPTATION_LIMITS = adaptation.adaptation_limits(adaptation.Parameters())._replace(rate=ACCEPTED_RATE)
+"""Bounds of the model's transition to an accepted rig, equal to those of adaptation."""
 
 
 def controller_kernel(name: str, cylinder: str = "double_rod", valve: str = "load_flow") -> ModuleType:

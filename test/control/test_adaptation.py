@@ -233,9 +233,9 @@ def test_at_rest_nothing_moves_and_nothing_is_claimed(run: Run) -> None:
     assert all("not identified" in str(text) for text in told)
 
 
-def test_nothing_changes_in_the_first_second_and_later_at_most_at_the_rate(run: Run) -> None:
+def test_nothing_changes_before_the_wait_is_over_and_later_at_most_at_the_rate(run: Run) -> None:
     model = known(run.spec, discharge_coefficient=0.8)
-    one = companion(run.spec, model, rate=0.2)
+    one = companion(run.spec, model, wait=1.0, rate=0.2)
     models = fed(one, model, run.measured, run.command)
     values = np.array([later.plant.discharge_coefficient for later in models]) / model.plant.discharge_coefficient
     assert np.all(values[: round(0.98 / PERIOD / adaptation.STRIDE)] == 1.0)

@@ -30,8 +30,8 @@ class Parameters(NamedTuple):
     reach: Annotated[
         float, quantity("1", "largest change of a coefficient from the rig file's, relative", minimum=0.0, maximum=0.3)
     ] = 0.3
-    rate: Annotated[float, quantity("1/s", "largest relative change in a second", above=0.0, maximum=10.0)] = 0.2
-    wait: Annotated[float, quantity("s", "time before anything changes", minimum=0.0, maximum=1e6)] = 1.0
+    rate: Annotated[float, quantity("1/s", "largest relative change in a second", above=0.0, maximum=10.0)] = 1.0
+    wait: Annotated[float, quantity("s", "time before anything changes", minimum=0.0, maximum=1e6)] = 0.1
     certain: Annotated[
         float, quantity("1", "largest relative standard error of an estimate that is used", above=0.0, maximum=0.3)
     ] = 0.03
