@@ -218,7 +218,8 @@ def _sensitivity(found: Diagnosis) -> list[str]:
             )
         )
         # Several forms of an effect give the same result for a parameter they share.
-        distinct = dict.fromkeys((item.name, item.parameter, change(item.smallest, item.unit)) for item in items)
+        sizes = [change(item.smallest, item.unit) if findings.is_in_range(item) else "none in its range" for item in items]
+        distinct = dict.fromkeys((item.name, item.parameter, size) for item, size in zip(items, sizes, strict=True))
         columns: dict[str, Callable[[tuple[str, str, str]], str | Entry]] = {
             "effect": lambda item: Entry(item[0], words(item[0]).noun),
             "parameter": lambda item: Entry(item[1], findings.parameter_meaning(item[0], item[1])),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.diagnosis.causes import spring_in_force
-from ehls_ros.diagnosis.result import NAMING, Cause, ChannelGain, Diagnosis, Rival, StageResult
+from ehls_ros.diagnosis.result import NAMING, Cause, ChannelGain, Diagnosis, Rival, Sensitivity, StageResult
 from ehls_ros.diagnosis.rules import TOLERANCE
 from ehls_ros.diagnosis.stages import CHANNELS, Channel, Stage
 from ehls_ros.diagnosis.verdict import NEEDED_MOTION
@@ -125,6 +125,14 @@ def parameter_meaning(effect: str, parameter: str) -> str:
     return next((d.description for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), "")
 
 
+def is_in_range(size: Sensitivity) -> bool:
+    """Return whether an effect's parameter can have its smallest detectable size."""
+    neutral = getattr(EFFECTS.load(size.name).Parameters(), size.parameter)
+    declared = next(d for d in declarations(EFFECTS.load(size.name).Parameters) if d.name == size.parameter)
+    bounds = [math.inf if bound is None else abs(bound - neutral) for bound in (declared.minimum, declared.maximum)]
+    return size.smallest <= max(bounds)
+
+
 def parameters_text(effect: str, parameters: Mapping[str, Estimate], digits: int = 1, errors: float = 1.0) -> str:
     """Write the parameters of an effect for use within a sentence, with a multiple of their standard errors."""
     return ", ".join(
@@ -143,7 +151,8 @@ def sized(effect: str, parameters: Mapping[str, Estimate], since: str = RIG_FILE
     """
     if not parameters:
         return ""
-    every = tuple(declarations(EFFECTS.load(effect).Parameters))
+    loaded = EFFECTS.load(effect)
+    every = [d for d in declarations(loaded.Parameters) if d.name not in getattr(loaded, "FIXED", ())]
     if not words(effect).lacking and len(every) == len(parameters) == 1:
         [declared], [e] = every, parameters.values()
         neutral = float(declared.default)
@@ -368,7 +377,8 @@ def visible(found: Diagnosis) -> str:
     """Return a sentence with the sizes from which wrong values of coefficients would have shown; empty if none would."""
     sizes = []
     for name in KEY_VALUES:
-        smallest = min((s for s in found.sensitivities if s.name == name), key=lambda s: s.smallest, default=None)
+        shown = [s for s in found.sensitivities if s.name == name and is_in_range(s)]
+        smallest = min(shown, key=lambda s: s.smallest, default=None)
         if smallest is not None:
             sizes.append(f"{words(name).noun} {change(smallest.smallest, smallest.unit)}")
     wrong = "a wrong value" if found.baseline is None else "a change"

@@ -110,6 +110,7 @@ def make_found(**changes):
             Sensitivity("coulomb_shift", "offset", 0.62, "N"),
             Sensitivity("valve_null_bias", "opening", 2.5e-7, "m"),
             Sensitivity("mass_shift", "factor", 0.0123, "1"),
+            Sensitivity("pressure_sensor_gain", "gain", 1.8e17, "1"),
         ),
         not_judged={"coupling_stiffness": "needs disturbance_displacement_m"},
         remarks=("0.7 % of load_pressure_pa are missing or outliers and were left out",),
@@ -354,7 +355,11 @@ def test_the_verdicts_without_a_cause():
 def test_agreement_names_the_sizes_that_would_have_shown_and_the_numbers_corrected_before():
     quiet = replace(
         consistent(),
-        sensitivities=(Sensitivity("mass_shift", "factor", 0.023, "1"), Sensitivity("coulomb_shift", "offset", 24.0, "N")),
+        sensitivities=(
+            Sensitivity("mass_shift", "factor", 0.023, "1"),
+            Sensitivity("coulomb_shift", "offset", 24.0, "N"),
+            Sensitivity("bulk_modulus_shift", "factor", 1e3, "1"),
+        ),
         corrected={"plant.moving_mass": Fitted(49.0, Estimate(70.0, 0.2, "kg"), None)},
     )
     sentence, _ = answer(quiet)
@@ -608,6 +613,7 @@ def test_what_would_have_been_noticed_is_in_units_people_read(report):
     assert row(text, part, "valve_null_bias")[2] == "0.25 µm"
     assert row(text, part, "mass_shift")[2] == "1.2 %"
     assert row(text, part, "coulomb_shift")[2] == "0.62 N"
+    assert row(text, part, "pressure_sensor_gain")[2] == "none in its range"
     assert "needs disturbance_displacement_m" in row(text, part, "coupling_stiffness")[1]
 
 

@@ -38,7 +38,8 @@ hook                value, and the argument after it
 
 ``NOT_IN_CHAMBERS`` names those of its parameters that have no meaning there, ``ONLY_IN_CHAMBERS`` those that have none in a
 cylinder with one pressure; they must be neutral. An effect with ``shift_chambers`` and neither ``shift`` nor hooks acts in
-chambers only. ``SIDES`` gives the side on which a parameter acts, ``a``, ``b`` or ``both``.
+chambers only. ``SIDES`` gives the side on which a parameter acts, ``a``, ``b`` or ``both``. ``FIXED`` names the parameters that
+no form fits; a report tells the size of an effect with one other parameter in words.
 
 Arguments: ``t`` time [s]; ``y`` the plant's state and ``w`` its inputs (indices in :mod:`ehls_ros.physics.plant`); ``z`` the
 effect's own states; ``p`` its ``Parameters``; ``plant`` the effective rig's :class:`~ehls_ros.physics.parameters.Plant`. A

@@ -9,6 +9,7 @@ from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
 SHIFTS = ("coulomb_force",)
+FIXED = ("stiffening",)
 EQUATION = "s(v) -> s(v) + offset: Fc and Fs move together, and k_i or σ0 by the share stiffening of the relative change of Fc"
 SOURCE = (
     "Olsson, Åström, Canudas de Wit, Gäfvert, Lischinsky, Friction Models and Friction Compensation, 1998; stiffness in "

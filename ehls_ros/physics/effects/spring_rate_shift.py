@@ -7,6 +7,7 @@ from ehls_ros.physics.rig import EffectUse, Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "mechanics"
+FIXED = ("zero",)
 EQUATION = "ks -> ks + added, at least 0; `constant_load`, the preload of a mounted spring, grows by the change of ks × zero"
 SOURCE = "Kang et al. 2018, (3)"
 WORDS = Words(
