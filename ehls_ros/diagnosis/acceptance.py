@@ -44,7 +44,8 @@ def _explains(
     before, after = (j.held_out.residuals.values[main] for j in (less, more))
     beyond = beyond_form(evidence, apart)
     matters = relevance(evidence, beyond) >= (standard.relevant_beside if beside else rules.RELEVANT)
-    clear = not beside and shows(beyond.values(), rules.CLEAR)
+    # Clear of the noise, but too small to matter: beside errors of form, that is one of these.
+    clear = not beside and not standard.form_is_noise and shows(beyond.values(), rules.CLEAR)
     if gain < standard.needed_gain or not (matters or clear) or not (beside or shows(apart.values())):
         return False
     if gain_ratio(evidence, more, less) < standard.min_gain_ratio or not recurs(more, less, inflation):

@@ -199,9 +199,10 @@ def test_a_cause_of_vague_size_is_sure_if_every_block_gains(scatter, beside, bas
     assert explains(evidence, more, less, FORCE) is taken
 
 
-@pytest.mark.parametrize(("size", "taken"), [(0.8, False), (3.0, True)])
-def test_a_large_gain_that_matters_to_nobody_is_accepted_only_if_it_stands_clear_of_the_noise(size, taken):
+@pytest.mark.parametrize(("size", "beside_form", "taken"), [(0.8, False, False), (3.0, False, True), (3.0, True, False)])
+def test_a_large_gain_that_matters_to_nobody_is_accepted_only_if_it_stands_clear_of_the_noise(size, beside_form, taken):
     evidence, more, less = with_and_without(np.random.default_rng(3), size)
+    evidence = replace(evidence, standard=HealthyVariation({}) if beside_form else Standard())
     # The balance's largest term is so large that the difference is irrelevant.
     evidence.sizes["force"] = 2.0 * size / rules.RELEVANT
     assert accepted(evidence, more, less, FORCE) is taken
