@@ -83,8 +83,11 @@ POINTS = 60
 MIN_RESIDUAL = 0.05
 """Least residual force on the paper's rig, for the weights [N], scaled with the rig's force."""
 
-REVERSALS = 4
-"""Fewest reversals for an estimate: two that agree by chance seem exact, such as those of the first half second, 13 % off."""
+REVERSALS = 2
+"""Fewest reversals for an estimate."""
+
+TWO_SIGMAS = 0.97725
+"""Probability below two standard deviations of a normal distribution."""
 
 LONG = 50
 """Half-width of a window, in cycles, from which on a corner of the external force is distinguished from noise."""
@@ -257,11 +260,14 @@ class Reversals:
         means, squares, own = self._sums[1:] / weights
         share = weights / weights.sum(axis=0)
         value = (share * means).sum(axis=0)
-        scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / max(self._weight - 1.0, 1.0)
+        freedoms = max(self._weight - 1.0, 1.0)
+        scatter = (share * np.maximum(squares - means**2, 0.0)).sum(axis=0) / freedoms
         disagreement = (share * (means - value) ** 2).sum(axis=0)
         # An error due to poor excitation recurs in the next window: a window's variance does not average out.
         lasting = (share * own).sum(axis=0)
-        return Found(value, np.sqrt(scatter + disagreement + lasting))
+        # By Student's t: a few reversals that agree by chance, such as those of the first half second, seem too exact.
+        few = 0.5 * float(scipy.special.stdtrit(freedoms, TWO_SIGMAS))
+        return Found(value, few * np.sqrt(scatter + disagreement + lasting))
 
     def _add(self, values: Array, variance: Array, weights: Array, duration: float) -> None:
         # Forgetting is per duration of a reversal, so that rare reversals count equally long.
