@@ -20,10 +20,10 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.errors import BadInput, WorkFailed
 from ehls_ros.fmu.library import headers
-from ehls_ros.fmu.plant_map import INPUT_UNITS, Described, PlantMap, Wiring, wired
+from ehls_ros.fmu.plant_map import CHAMBERS, INPUT_UNITS, Described, PlantMap, Wiring, wired
 from ehls_ros.physics.parameters import Sensor
 from ehls_ros.physics.plausibility import implausible
-from ehls_ros.physics.rig import CHAMBER_SENSED, SENSED, Rig
+from ehls_ros.physics.rig import SENSED, Rig
 from ehls_ros.physics.simulator import OIL_TEMPERATURE
 
 PREPARATION = 60.0
@@ -31,9 +31,6 @@ PREPARATION = 60.0
 
 ANSWER = 5.0
 """Longest time for a step [s]."""
-
-CHAMBERS = frozenset(CHAMBER_SENSED)
-"""Readings of a cylinder with two chambers, without which a law takes those of steady motion."""
 
 
 class FmuProcess:
@@ -215,7 +212,9 @@ class ForeignPlant:
         except BaseException:
             self._process.close()
             raise
-        self._lacking = CHAMBERS - {link.signal for link in self._wiring.outputs}
+        lacking = CHAMBERS - {link.signal for link in self._wiring.outputs}
+        self._has_chambers = not lacking
+        self._read = np.array([signal not in lacking for signal in rig.sensed])
         self.truth = self._readings(first)
 
     def _row(self, command: float) -> list[float]:
@@ -230,7 +229,7 @@ class ForeignPlant:
             less = 0.0 if link.minus is None else next(rest)
             found[link.signal] = link.scale * (value - less) + link.offset
         area, chambers = self.rig.plant.piston_area, self.rig.cylinder.parameters
-        if set(found) >= CHAMBERS:
+        if self._has_chambers:
             driving = chambers.area_a * found["pressure_a"] - chambers.area_b * found["pressure_b"]
             found.setdefault("load_pressure", driving / area)
         found.setdefault("force", area * found.get("load_pressure", math.nan))
@@ -260,8 +259,9 @@ class ForeignPlant:
             return 0
         self._temperature += self._warming * self.period
         self.truth = self._readings(self._out.unpack(answer))
-        signals = [signal for signal, value in zip(self.rig.sensed, self.truth, strict=True) if not math.isfinite(value)]
-        if set(signals) - self._lacking:
+        lost = self._read & ~np.isfinite(self.truth)
+        if lost.any():
+            signals = [signal for signal, gone in zip(self.rig.sensed, lost, strict=True) if gone]
             self._lose(f"the FMU returned NaN or infinity for {', '.join(signals)}")
         return 0
 

@@ -25,6 +25,9 @@ NEEDED = ("valve_command", "disturbance_force")
 
 OUTPUT_UNITS: Mapping[str, str] = {signal: SIGNAL_UNITS[signal] for signal in (*SENSED, *CHAMBER_SENSED)}
 
+CHAMBERS = frozenset(CHAMBER_SENSED)
+"""Readings of a cylinder with two chambers, without which a law takes those of steady motion."""
+
 DERIVED = ("load_pressure", "force", "supply_pressure", "oil_temperature", *CHAMBER_SENSED)
 """Readings that follow from others or from the rig file where the FMU has none, or that the law can do without."""
 
@@ -157,8 +160,8 @@ def wired(
         if signal not in has:
             section: Section = "inputs" if signal in INPUT_UNITS else "outputs"
             raise BadInput(f"the FMU has no variable {signal}", where, f"a map with the entry {section}: {signal}")
-    if not (has & {"load_pressure", "force"} or has >= set(CHAMBER_SENSED)):
-        both = " or both pressures" if set(CHAMBER_SENSED) <= set(sensed) else ""
+    if not (has & {"load_pressure", "force"} or has >= CHAMBERS):
+        both = " or both pressures" if set(sensed) >= CHAMBERS else ""
         expected = "a map with the entry outputs: load_pressure"
         raise BadInput(f"the FMU has neither load_pressure nor force{both}", where, expected)
     values = {name: value for name, value in start.items() if name in variables}

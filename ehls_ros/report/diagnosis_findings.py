@@ -16,7 +16,7 @@ from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Side, Words
 from ehls_ros.report.page import listed, number
 from ehls_ros.report.quantities import ALMOST, NORMAL_95, change, estimate, likely, percent, quantity, value
-from ehls_ros.schema import declarations
+from ehls_ros.schema import Declaration, declarations
 from ehls_ros.trajectory import SIGNALS
 
 AT_NOISE = 1.5
@@ -122,15 +122,22 @@ def meaning(name: str) -> str:
 
 def parameter_meaning(effect: str, parameter: str) -> str:
     """Return the description of a parameter from its declaration."""
-    return next((d.description for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), "")
+    declared = _declared(effect, parameter)
+    return "" if declared is None else declared.description
+
+
+def _declared(effect: str, parameter: str) -> Declaration | None:
+    """Return the declaration of an effect's parameter; None if it has no such parameter."""
+    return next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), None)
 
 
 def is_in_range(size: Sensitivity) -> bool:
     """Return whether an effect's parameter can have its smallest detectable size."""
-    neutral = getattr(EFFECTS.load(size.name).Parameters(), size.parameter)
-    declared = next(d for d in declarations(EFFECTS.load(size.name).Parameters) if d.name == size.parameter)
-    bounds = [math.inf if bound is None else abs(bound - neutral) for bound in (declared.minimum, declared.maximum)]
-    return size.smallest <= max(bounds)
+    declared = _declared(size.name, size.parameter)
+    if declared is None:
+        return False
+    bounds = declared.minimum, declared.maximum
+    return any(bound is None or size.smallest <= abs(bound - float(declared.default)) for bound in bounds)
 
 
 def parameters_text(effect: str, parameters: Mapping[str, Estimate], digits: int = 1, errors: float = 1.0) -> str:
@@ -175,7 +182,7 @@ def fitted(effect: str, parameter: str, e: Estimate, digits: int = 2) -> str:
         e: its estimate.
         digits: significant digits of the standard error.
     """
-    declared = next((d for d in declarations(EFFECTS.load(effect).Parameters) if d.name == parameter), None)
+    declared = _declared(effect, parameter)
     low, high = (None, None) if declared is None else (declared.minimum, declared.maximum)
     width = math.inf if low is None or high is None else high - low
     if not (math.isfinite(e.std) and e.std < width):

@@ -114,7 +114,7 @@ def test_a_change_is_judged_against_the_rig_that_was_identified_first(draft, hea
         raise AssertionError("the baselines were identified again")
 
     monkeypatch.setattr(baseline, "identify_rig", again)
-    task = Task(healthy, draft, (healthy,), identified=monitor.identification.whole)
+    task = Task(healthy, draft, (healthy,), identified=monitor.identification)
     assert examination._diagnosed(task, healthy).verdict == "consistent"
 
 

@@ -76,11 +76,9 @@ def test_units_signs_and_derived_readings(plant_of, rig):
 def single_rod_of(other):
     made = []
 
-    def build(**outputs):
-        data = {
-            **MAP,
-            "outputs": {**{name: MAP["outputs"][name] for name in ("position", "velocity", "spool_position")}, **outputs},
-        }
+    def build(parameters=None, **outputs):
+        motion = {name: MAP["outputs"][name] for name in ("position", "velocity", "spool_position")}
+        data = {**MAP, "outputs": {**motion, **outputs}, "parameters": parameters or {}}
         made.append(ForeignPlant(other, map_from_mapping(data, "map"), load_rig(configured("rig_single_rod")), PERIOD))
         return made[-1]
 
@@ -99,6 +97,14 @@ def test_force_of_a_single_rod_follows_from_its_pressures(single_rod_of):
     assert reading["force"] == pytest.approx(p.area_a * reading["pressure_a"] - p.area_b * reading["pressure_b"])
     assert reading["load_pressure"] == pytest.approx(reading["force"] / plant.rig.plant.piston_area)
     assert plant.trouble() == ""
+
+
+def test_readings_that_a_single_rod_lacks_are_not_said_to_be_lost(single_rod_of):
+    plant = single_rod_of({"misdeed": NOT_A_NUMBER}, load_pressure=MAP["outputs"]["load_pressure"])
+    for _ in range(80):
+        plant.advance(1e-3, 0.0, 0.0, 0.0, 0.0)
+    assert "position" in plant.trouble()
+    assert "pressure_a" not in plant.trouble()
 
 
 def test_a_single_rod_needs_no_pressures_beside_a_load_pressure(single_rod_of):

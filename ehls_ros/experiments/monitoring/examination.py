@@ -14,7 +14,6 @@ from ehls_ros.errors import BadInput
 from ehls_ros.estimate import Estimate
 from ehls_ros.experiments.baseline import diagnose_against
 from ehls_ros.experiments.monitoring.identified import Identification, identify
-from ehls_ros.identification.rig_result import RigIdentification
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.effects.base import Form
 from ehls_ros.physics.rig import EffectUse, Rig
@@ -39,7 +38,6 @@ class Task(NamedTuple):
         preferred: effects to be preferred to equivalent ones, in order of preference.
         identify: recordings from which the rig is identified, by name; none: no identification.
         identified: the rig identified from the baselines, if that is known.
-        errors: standard errors of the model's tracked coefficients, by name.
     """
 
     recording: Trajectory | None
@@ -47,8 +45,7 @@ class Task(NamedTuple):
     baselines: tuple[Trajectory, ...] = ()
     preferred: tuple[str, ...] = ()
     identify: Mapping[str, Trajectory] = {}
-    identified: RigIdentification | None = None
-    errors: Mapping[str, float] = {}
+    identified: Identification | None = None
 
     @property
     def length(self) -> float:
@@ -139,6 +136,7 @@ def _sized(found: Finding, task: Task, recording: Trajectory) -> Finding:
     identification = identify({"the latest samples": recording}, found.rig) if found.names_causes else None
     if identification is None:
         return found
+    errors = {} if task.identified is None else task.identified.errors()
     known, rig, causes = identification.readings(), found.rig, list[FoundCause]()
     names = {(t.effect, t.parameter): name for name, t in COEFFICIENTS.items()}
     for cause in found.causes:
@@ -147,7 +145,7 @@ def _sized(found: Finding, task: Task, recording: Trajectory) -> Finding:
             name = names.get((cause.name, parameter), "")
             if name in known:
                 tracked = COEFFICIENTS[name]
-                sizes[parameter] = tracked.change(tracked.given(task.rig), known[name], task.errors.get(name, 0.0))
+                sizes[parameter] = tracked.change(tracked.given(task.rig), known[name], errors.get(name, 0.0))
                 rig = _with_total(rig, tracked, known[name].value)
         causes.append(cause._replace(parameters=sizes))
     return found._replace(causes=tuple(causes), rig=rig, identification=identification)
@@ -167,8 +165,9 @@ def _with_total(rig: Rig, tracked: Tracked, value: float) -> Rig:
 def _diagnosed(task: Task, recording: Trajectory) -> Finding:
     try:
         if task.baselines:
+            identified = None if task.identified is None else task.identified.whole
             found = diagnose_against(
-                recording, task.baselines, task.rig, "the latest samples", threads=1, identified=task.identified
+                recording, task.baselines, task.rig, "the latest samples", threads=1, identified=identified
             )
         else:
             found = diagnose(recording, task.rig, "the latest samples", threads=1)

@@ -404,9 +404,7 @@ class Monitor:
         text = f"{self._baseline.quantity(change.quantity)} changed since {onset:.1f} s"
         events.append(Event(now, "noticed", text))
         recording, baselines = self._samples.between(self._examined_from, now), tuple(self._baseline.recordings.values())
-        identified = None if self.identification is None else self.identification.whole
-        task = Task(recording, self.healthy_rig, baselines, self._preferred(), identified=identified, errors=self._errors())
-        self._examiner.begin(task)
+        self._examiner.begin(Task(recording, self.healthy_rig, baselines, self._preferred(), identified=self.identification))
 
     def _preferred(self) -> tuple[str, ...]:
         """Return the effects preferred to equivalent ones: those named before, and those of the coefficients."""
@@ -645,15 +643,12 @@ class Monitor:
         """The rig to whose values changes are relative: the rig file's, or the identified one if its numbers are wrong."""
         return self.identification.rig if self.identification is not None and self.identification.wrong else self.rig
 
-    def _errors(self) -> dict[str, float]:
-        """Return the standard errors of the healthy rig's coefficients, by name."""
-        return {} if self.identification is None else self.identification.errors()
-
     def health(self) -> Health:
         """Return the current health of the rig."""
         blocks = 0 if isinstance(self.mode, modes.Learning | modes.Comparing) else len(self.mode.blocks.recent)
         read_anew = bool(self._first_readings or self._linearisation) or blocks >= min(MIN_READING_BLOCKS, self._averaged)
-        changes, current = agreed(self.changes, self._readings, self.healthy_rig, read_anew, self._errors())
+        errors = {} if self.identification is None else self.identification.errors()
+        changes, current = agreed(self.changes, self._readings, self.healthy_rig, read_anew, errors)
         return Health(
             float(self._samples.times[-1]) if len(self._samples) else math.nan,
             self.mode.state,
