@@ -1,6 +1,6 @@
 """Coefficients of a rig's model, and the sensitivity of the residuals to a small error of each."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +58,40 @@ a pressure outside the baselines.
 """
 
 
+COULOMB, STATIC = "coulomb_force", "static_force"
+"""Names of both friction forces, of which the second keeps its ratio to the first where that varies."""
+
+
+class RelativeErrors(NamedTuple):
+    """Errors of coefficients of a rig's model, as fractions of their values.
+
+    Attributes:
+        names: of the coefficients.
+        covariance: of their errors, shape (n, n).
+    """
+
+    names: tuple[str, ...] = ()
+    covariance: Array = np.empty((0, 0))
+
+    def in_terms(self, names: Sequence[str]) -> Array:
+        """Return a factor of the covariance of the coefficients' terms, shape (len(names), n).
+
+        Args:
+            names: of the terms; those without a coefficient of that name have no error.
+        """
+        squares, along = np.linalg.eigh(self.covariance) if self.names else (np.empty(0), self.covariance)
+        factor = along * np.sqrt(np.maximum(squares, 0.0))
+        own = dict(zip(self.names, factor, strict=True))
+        if COULOMB in own and STATIC in own:
+            # The term of the Coulomb friction moves both.
+            own[STATIC] = own[STATIC] - own[COULOMB]
+        nothing = np.zeros(len(self.names))
+        return np.array([own.get(name, nothing) for name in names]).reshape(len(names), len(self.names))
+
+
+NO_ERRORS = RelativeErrors()
+
+
 class Term(NamedTuple):
     """Sensitivity of a channel's residual to a relative error of one coefficient.
 
@@ -89,7 +123,7 @@ def varied(rig: Rig, part: float) -> Iterator[tuple[str, Rig]]:
         if larger == value:
             continue
         friction = rig.friction._replace(**{name: larger})
-        if name == "coulomb_force" and "static_force" in rig.friction._fields:
+        if name == COULOMB and STATIC in rig.friction._fields:
             # Static friction keeps its ratio, so that it is never the smaller one.
             friction = friction._replace(static_force=rig.friction.static_force * (1.0 + part))
         try:

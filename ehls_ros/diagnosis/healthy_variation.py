@@ -10,7 +10,7 @@ import numpy as np
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.allowance import Allowance, together
-from ehls_ros.diagnosis.coefficients import SCALE, Term, terms
+from ehls_ros.diagnosis.coefficients import NO_ERRORS, SCALE, RelativeErrors, Term, terms
 from ehls_ros.diagnosis.dependence import signals_along
 from ehls_ros.diagnosis.discrepancy import Expected, Learnt, Windows, learn
 from ehls_ros.diagnosis.evidence import Evidence, Standard, allowing, part_of
@@ -54,6 +54,13 @@ PROGRAMME, SAME_PROGRAMME = (0.05, 0.25, 0.5, 0.75, 0.95), 0.5
 the range.
 
 It is up to 0.45 for other seeds of a random programme, 0.8 and more for another one.
+"""
+
+SAME_EXCITATION = 2.0
+"""Factor by which errors of coefficients may show more in a recording of the same programme.
+
+What shows beyond it is up to 0.5 % of the largest force for other seeds of a programme, and 19 to 35 % for one that tells the
+friction at low speed where the baselines do not.
 """
 
 OFFSET = "offset"
@@ -114,6 +121,7 @@ class RemainderTerms(NamedTuple):
         homogeneous: whether all coefficients larger by one factor change the residual by itself. So it is without a measured
             load: then the measured area's term would allow a share of any fault, and that of the modelled balance is taken.
         errors: relative standard deviation of each coefficient's error, by name; :data:`rules.LEFT_ERROR` by default.
+        identified: factor of the covariance of the coefficients' relative errors as identified, shape (spreads, n).
     """
 
     size: float
@@ -124,6 +132,7 @@ class RemainderTerms(NamedTuple):
     temperature: float | None
     homogeneous: bool = False
     errors: Mapping[str, float] = {}
+    identified: Array = np.empty((0, 0))
 
     def windows(self, recording: DescribedEvidence, channel: Channel) -> Windows:
         """Return a channel's windows of one recording.
@@ -150,6 +159,12 @@ class RemainderTerms(NamedTuple):
             factor=signals.get(self.factor, np.zeros(count)) / self.unit,
             block=evidence.block[channel],
         )
+
+    def shown(self, windows: Windows) -> Array:
+        """Return the covariance of the amounts by which errors of the identified coefficients show in windows, shape (n, n)."""
+        columns = windows.terms[:, : len(self.spreads)] @ self.identified
+        found: Array = columns.T @ columns / max(len(columns), 1)
+        return found
 
     def learn_from(self, recordings: Sequence[Windows]) -> Learnt:
         """Learn the remainder from the windows of several recordings."""
@@ -220,12 +235,25 @@ class ChannelRemainder(NamedTuple):
         return rules.MAX_ALLOWED * self.misjudged * (rules.OTHER_PROGRAMME if single else 1.0)
 
     def is_known(self, new: Windows) -> bool:
-        """Return whether the signals that follow the programme range as in the baselines, or between them."""
+        """Return whether a recording is of a baseline's programme.
+
+        The signals that follow the programme range as in the baselines, or between them, and errors of the identified
+        coefficients show no more than in the baseline that is most alike, or less than what is left unexplained there.
+        """
         there, known = np.quantile(new.signals, PROGRAMME, axis=0), np.array(list(self.ranges.values()))
         allowed = SAME_PROGRAMME * np.min(np.ptp(known, axis=1), axis=0)
         within = (there >= np.min(known, axis=0) - allowed) & (there <= np.max(known, axis=0) + allowed)
         follows = np.array([name != SUPPLY for name in self.terms.signals])
-        return bool(np.all(within[:, follows]))
+        return bool(np.all(within[:, follows])) and self._excites_as_known(new)
+
+    def _excites_as_known(self, new: Windows) -> bool:
+        if self.terms.identified.size == 0:
+            return True
+        windows, recording = self.learnt.windows, self.learnt.recording
+        baselines = [windows.where(recording == k) for k in np.unique(recording)] if len(self.ranges) > 1 else [windows]
+        here = self.terms.shown(new)
+        more = (np.linalg.eigvalsh(here - SAME_EXCITATION**2 * self.terms.shown(own))[-1] for own in baselines)
+        return bool(min(more) <= max(rules.RELEVANT, self.learnt.left) ** 2)
 
     def distance(self, new: Windows) -> Array:
         """Return how far windows are from the middle of the baselines' range, in half ranges, shape (n,)."""
@@ -404,12 +432,15 @@ def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:
     return rms(residual - fitted) < rules.HOMOGENEOUS * rms(recording.evidence.noise[channel])
 
 
-def learn_healthy_variation(baselines: Sequence[DescribedEvidence], errors: Mapping[str, float] = {}) -> HealthyVariation:
+def learn_healthy_variation(
+    baselines: Sequence[DescribedEvidence], errors: Mapping[str, float] = {}, joint: RelativeErrors = NO_ERRORS
+) -> HealthyVariation:
     """Learn the remainder of a healthy rig from recordings compared with the same model.
 
     Args:
         baselines: the recordings.
         errors: relative standard errors of the coefficients identified from them, by name.
+        joint: errors of all coefficients fitted to them, also of those that they do not identify.
     """
     # The piston's area is known from its drawing. An error as small as a healthy variation does not matter.
     errors = {name: max(error, rules.SPREAD) for name, error in errors.items()} | {SCALE: rules.AREA_ERROR}
@@ -429,6 +460,7 @@ def learn_healthy_variation(baselines: Sequence[DescribedEvidence], errors: Mapp
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
             homogeneous=all(is_homogeneous(b, c) for b in recordings),
             errors=errors,
+            identified=joint.in_terms(tuple(spreads)),
         )
         windows = {b.evidence.record.name: components.windows(b, c) for b in recordings}
         out[c] = ChannelRemainder(components, components.learn_from(list(windows.values()))).compared(windows)

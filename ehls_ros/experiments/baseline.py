@@ -77,7 +77,7 @@ def diagnose_against(
     named = list(zip(baselines, called, strict=True))
     progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, identified.rig, what, seed)) for recording, what in named]
-    variation = learn_healthy_variation(healthy, _relative_errors(identified))
+    variation = learn_healthy_variation(healthy, _relative_errors(identified), identified.errors)
     found = diagnose(
         new,
         identified.rig,

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ehls_ros.arrays import Array
+from ehls_ros.diagnosis.coefficients import NO_ERRORS, RelativeErrors
 from ehls_ros.diagnosis.stages import CHANNELS, Channel
 from ehls_ros.estimate import Estimate
 from ehls_ros.physics.rig import Rig
@@ -38,6 +39,7 @@ class RigIdentification(NamedTuple):
         recordings: names of the recordings used.
         remarks: sentences about the data and the limits of the result.
         wall_s: wall time [s].
+        errors: of all coefficients that were fitted, also of those not identifiable.
     """
 
     rig: Rig
@@ -50,6 +52,7 @@ class RigIdentification(NamedTuple):
     recordings: tuple[str, ...]
     remarks: tuple[str, ...]
     wall_s: float
+    errors: RelativeErrors = NO_ERRORS
 
 
 def rig_to_json(found: RigIdentification) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehls_ros.arrays import Array
-from ehls_ros.diagnosis.coefficients import kept
+from ehls_ros.diagnosis.coefficients import RelativeErrors, kept
 from ehls_ros.diagnosis.evidence import gather
 from ehls_ros.diagnosis.record import FORCE, POSITION, PRESSURE, SPOOL, SUPPLY, VELOCITY, Record, prepare
 from ehls_ros.diagnosis.stages import Channel, Setup, setup
@@ -41,7 +41,7 @@ from ehls_ros.identification.rig_coefficients import (
     without,
 )
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
-from ehls_ros.identification.rig_identifiability import estimated, unidentifiable
+from ehls_ros.identification.rig_identifiability import Estimated, estimated, unidentifiable
 from ehls_ros.identification.rig_noise import corrected, gain, rounding, with_added_noise
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import (
@@ -202,6 +202,10 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
         recordings=(),
         remarks=() if all(part.converged for part in parts) else ("the fit had not converged after its last step",),
         wall_s=0.0,
+        errors=RelativeErrors(
+            tuple(name for part in parts for name in part.errors.names),
+            _block_diagonal([part.errors.covariance for part in parts]),
+        ),
     )
 
 
@@ -268,6 +272,7 @@ class _Fitted(NamedTuple):
         not_identifiable: the coefficients that are not identifiable, with the reason.
         absent: those not significantly different from none.
         converged: whether the fit has converged.
+        errors: of all coefficients.
     """
 
     rig: Rig
@@ -276,6 +281,7 @@ class _Fitted(NamedTuple):
     not_identifiable: Mapping[str, str]
     absent: Mapping[str, Estimate]
     converged: bool
+    errors: RelativeErrors
 
 
 def _fitted(
@@ -351,7 +357,17 @@ def _fitted(
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
     kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons and c.path not in absent]
     estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
-    return _Fitted(now.rig, estimates, found.covariance[np.ix_(kept, kept)], reasons, absent, converged)
+    covariance, errors = found.covariance[np.ix_(kept, kept)], _relative_errors(found, whole.paths)
+    return _Fitted(now.rig, estimates, covariance, reasons, absent, converged, errors)
+
+
+def _relative_errors(found: Estimated, paths: Sequence[str]) -> RelativeErrors:
+    """Return the errors of estimates, in the order of ``paths``, but for those of effects and sensors."""
+    values = {i: found.by_path[path].value for i, path in enumerate(paths) if not path.startswith(("effects.", "sensors."))}
+    own = [i for i, value in values.items() if value != 0.0]
+    of_one = np.array([1.0 / values[i] for i in own])
+    names = tuple(paths[i].split(".")[1] for i in own)
+    return RelativeErrors(names, found.covariance[np.ix_(own, own)] * np.outer(of_one, of_one))
 
 
 def _moved(stack: Stack, fitted: RigFit, doubtful: Sequence[Coefficient], channels: Collection[Channel]) -> dict[str, float]:

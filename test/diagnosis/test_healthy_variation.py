@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ehls_ros.diagnosis import rules
+from ehls_ros.diagnosis.coefficients import RelativeErrors
 from ehls_ros.diagnosis.discrepancy import Expected, Windows, learn
 from ehls_ros.diagnosis.healthy_variation import ChannelRemainder, RemainderTerms
 
@@ -72,6 +73,22 @@ def test_of_windows_in_one_section_the_remainder_may_vary_without_bounds():
 def test_a_programme_is_known_by_the_range_of_its_signals(high, known):
     found = learnt(windows(1, bend), windows(2, bend, high=3.0))
     assert found.is_known(windows(3, bend, high=high)) == known
+
+
+@pytest.mark.parametrize(("times", "error", "known"), [(1.5, 0.1, True), (8.0, 0.1, False), (8.0, 1e-5, True)])
+def test_a_programme_that_shows_an_error_of_a_coefficient_that_the_baselines_hide_is_another(times, error, known):
+    found = learnt(windows(1, bend), windows(2, bend))
+    found = found._replace(terms=found.terms._replace(identified=np.array([[error]])))
+    new = windows(3, bend)
+    assert found.is_known(new._replace(terms=times * new.terms)) == known
+
+
+def test_static_friction_is_off_by_what_its_ratio_to_the_coulomb_friction_is():
+    """The term of the Coulomb friction moves both."""
+    deviations = np.array([[0.1, 0.0], [0.1, 0.02]])
+    errors = RelativeErrors(("coulomb_force", "static_force"), deviations @ deviations.T)
+    found = errors.in_terms(("offset", "static_force", "coulomb_force"))
+    assert found @ found.T == pytest.approx(np.diag([0.0, 0.02**2, 0.1**2]), abs=1e-15)
 
 
 def test_beyond_the_baselines_more_may_vary_even_where_they_agree():

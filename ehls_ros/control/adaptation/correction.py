@@ -215,7 +215,7 @@ def corrected_rig(rig: Rig, original: Model, values: dict[str, float]) -> Rig:
     effects = tuple(
         EffectUse(use.name, use.parameters._replace(delay=delay)) if use.name == "command_delay" else use for use in rig.effects
     )
-    cylinder = rig.cylinder._replace(parameters=model.cylinder) if model.cylinder else rig.cylinder
+    cylinder = rig.cylinder._replace(parameters=model.cylinder)
     return rig._replace(plant=model.plant, cylinder=cylinder, friction=model.friction, effects=effects)
 
 
