@@ -1,12 +1,12 @@
 """Wrong input ends with code 2 and one line that names the error, its location and the expected value."""
 
-import resource
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from full_disk import no_file_larger_than
 from patience import PATIENCE
 
 from ehls_ros.cli.main import main
@@ -124,12 +124,8 @@ def limited(*arguments, largest_file):
     """Return exit code and errors of a process whose files are limited in size, as on a full disk."""
     command = [sys.executable, "-m", "ehls_ros.cli.main", *map(str, arguments)]
     # The child inherits the limit, and so do the processes it starts.
-    own, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, most))
-    try:
+    with no_file_larger_than(largest_file):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (own, most))
     _, complaint = process.communicate(timeout=PATIENCE)
     return process.returncode, complaint.strip().splitlines()
 

@@ -1,11 +1,11 @@
 """The flight recorder keeps the last trips, each as a bag that a diagnosis can read."""
 
-import resource
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import no_file_larger_than
 
 from ehls_ros.cli.main import parser
 from ehls_ros.experiments.monitoring import flight_recorder
@@ -87,13 +87,8 @@ def test_only_flights_are_removed_and_of_them_only_what_the_recorder_wrote(tmp_p
 
 
 def test_a_flight_that_cannot_be_written_leaves_nothing(tmp_path: Path, begun: list[list[str]]):
-    size, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, most))
-    try:
-        with pytest.raises(NotWritten, match=r"samples\.npz: cannot be written"):
-            FlightRecorder(tmp_path, 3, 100.0).begin(flight(0), RIG, 1e-3)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
+    with no_file_larger_than(4096), pytest.raises(NotWritten, match=r"samples\.npz: cannot be written"):
+        FlightRecorder(tmp_path, 3, 100.0).begin(flight(0), RIG, 1e-3)
     assert not list(tmp_path.iterdir())
 
 

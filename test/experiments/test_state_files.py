@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from full_disk import no_file_larger_than
 
 from ehls_ros.declared_arrays import Entry, check_arrays
 from ehls_ros.errors import BadInput
@@ -50,14 +50,6 @@ def with_arrays(tmp_path: Path) -> StateFile:
     made = StateFile(tmp_path / "state.npz", WITH_ARRAYS, ORIGIN)
     made.write({"value": 1.5}, ARRAYS)
     return made
-
-
-@pytest.fixture
-def full_disk():
-    size, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, most))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
 
 
 def test_what_was_written_is_read(file, with_arrays):
@@ -143,12 +135,13 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path, made):
     assert not file.is_own()
 
 
-def test_a_full_disk_leaves_the_file_as_it_was_and_nothing_beside_it(file, tmp_path, full_disk):
+def test_a_full_disk_leaves_the_file_as_it_was_and_nothing_beside_it(file, tmp_path):
     before = file.path.read_bytes()
-    with pytest.raises(NotWritten, match=r"state\.json: cannot be written \(File too large\)"):
-        file.write({"value": 2.0})
-    with pytest.raises(BadInput, match=r"the test state cannot be written \(File too large\)"):
-        file.check_writable()
+    with no_file_larger_than(100):
+        with pytest.raises(NotWritten, match=r"state\.json: cannot be written \(File too large\)"):
+            file.write({"value": 2.0})
+        with pytest.raises(BadInput, match=r"the test state cannot be written \(File too large\)"):
+            file.check_writable()
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
     assert file.path.read_bytes() == before
 
@@ -259,15 +252,12 @@ def test_a_table_goes_on_after_its_last_whole_line(tmp_path, begun):
 
 def test_lines_that_a_full_disk_did_not_take_are_written_later(tmp_path):
     path = tmp_path / "table.csv"
-    grown, size = table.Table(path, HEADING, 0), resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20, size[1]))
-    try:
+    grown = table.Table(path, HEADING, 0)
+    with no_file_larger_than(20):
         for number in range(1, 9):
             grown.add(f"{number},0")
         with pytest.raises(NotWritten, match=r"table\.csv: cannot be written \(File too large\)"):
             grown.flush()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, size)
     grown.flush()
     grown.close()
     assert [cells[0] for cells in table.rows(path, HEADING, check, "a table", "the table")] == [str(n) for n in range(1, 9)]

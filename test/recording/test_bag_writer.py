@@ -1,12 +1,11 @@
 import errno
 import json
-import resource
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
+from full_disk import no_file_larger_than
 from recorded_runs import (
     METADATA,
     Message,
@@ -32,17 +31,6 @@ STORAGES: list[Storage] = ["mcap", "sqlite3"]
 
 def write(writer: BagWriter, message: Message) -> None:
     writer.write(message.topic.rpartition("/")[2], message.received_ns, serialized(message))
-
-
-@contextmanager
-def no_file_larger_than(size: int) -> Iterator[None]:
-    """Make writing fail as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import yaml
+from full_disk import no_file_larger_than
 from recorded_runs import METADATA, loader_state, make_trajectory, record, same, serialized, storage_file, valve_command
 from tiers import tiered
 
@@ -456,13 +457,8 @@ def test_messages_flushed_before_the_disk_was_full_are_recovered(tmp_path: Path,
                 writer.flush()
                 flushed.append(cycle)
 
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, hard))
-    try:
-        with pytest.raises(OSError, match="the bag is incomplete"):
-            fill()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with no_file_larger_than(300_000), pytest.raises(OSError, match="the bag is incomplete"):
+        fill()
     recovery = recover(tmp_path / "bag", tmp_path / "whole")
     recovered = forces(tmp_path / "whole")
     assert 1000 < flushed[-1] < len(recovered)
