@@ -56,11 +56,12 @@ the range.
 It is up to 0.45 for other seeds of a random programme, 0.8 and more for another one.
 """
 
-SAME_EXCITATION = 2.0
-"""Factor by which errors of coefficients may show more in a recording of the same programme.
+SAME_EXCITATION, LITTLE_SHOWN = 2.0, 0.01
+"""Factor by which errors of coefficients may show more in a recording of the same programme, and the amount beyond it that says
+nothing, as a fraction of the largest term.
 
-What shows beyond it is up to 0.5 % of the largest force for other seeds of a programme, and 19 to 35 % for one that tells the
-friction at low speed where the baselines do not.
+The amount is up to 0.5 % for other seeds of a programme, and 19 to 35 % for one that tells the friction at low speed where the
+baselines do not.
 """
 
 OFFSET = "offset"
@@ -253,7 +254,7 @@ class ChannelRemainder(NamedTuple):
         baselines = [windows.where(recording == k) for k in np.unique(recording)] if len(self.ranges) > 1 else [windows]
         here = self.terms.shown(new)
         more = (np.linalg.eigvalsh(here - SAME_EXCITATION**2 * self.terms.shown(own))[-1] for own in baselines)
-        return bool(min(more) <= max(rules.RELEVANT, self.learnt.left) ** 2)
+        return bool(min(more) <= max(LITTLE_SHOWN, self.learnt.left) ** 2)
 
     def distance(self, new: Windows) -> Array:
         """Return how far windows are from the middle of the baselines' range, in half ranges, shape (n,)."""
