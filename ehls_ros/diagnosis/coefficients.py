@@ -68,10 +68,17 @@ class RelativeErrors(NamedTuple):
     Attributes:
         names: of the coefficients.
         covariance: of their errors, shape (n, n).
+        identified: names of those that recordings determine.
     """
 
     names: tuple[str, ...] = ()
     covariance: Array = np.empty((0, 0))
+    identified: frozenset[str] = frozenset()
+
+    def of_identified(self) -> dict[str, float]:
+        """Return the standard deviation of the error of each identified coefficient, by name."""
+        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        return {name: own for name, own in zip(self.names, std, strict=True) if name in self.identified}
 
     def in_terms(self, names: Sequence[str]) -> Array:
         """Return a factor of the covariance of the coefficients' terms, shape (len(names), n).
@@ -79,14 +86,14 @@ class RelativeErrors(NamedTuple):
         Args:
             names: of the terms; those without a coefficient of that name have no error.
         """
-        squares, along = np.linalg.eigh(self.covariance) if self.names else (np.empty(0), self.covariance)
+        squares, along = np.linalg.eigh(self.covariance)
         factor = along * np.sqrt(np.maximum(squares, 0.0))
         own = dict(zip(self.names, factor, strict=True))
         if COULOMB in own and STATIC in own:
             # The term of the Coulomb friction moves both.
             own[STATIC] = own[STATIC] - own[COULOMB]
         nothing = np.zeros(len(self.names))
-        return np.array([own.get(name, nothing) for name in names]).reshape(len(names), len(self.names))
+        return np.array([own.get(name, nothing) for name in names])
 
 
 NO_ERRORS = RelativeErrors()

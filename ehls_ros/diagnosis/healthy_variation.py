@@ -164,7 +164,7 @@ class RemainderTerms(NamedTuple):
     def shown(self, windows: Windows) -> Array:
         """Return the covariance of the amounts by which errors of the identified coefficients show in windows, shape (n, n)."""
         columns = windows.terms[:, : len(self.spreads)] @ self.identified
-        found: Array = columns.T @ columns / max(len(columns), 1)
+        found: Array = columns.T @ columns / len(columns)
         return found
 
     def learn_from(self, recordings: Sequence[Windows]) -> Learnt:
@@ -239,7 +239,7 @@ class ChannelRemainder(NamedTuple):
         """Return whether a recording is of a baseline's programme.
 
         The signals that follow the programme range as in the baselines, or between them, and errors of the identified
-        coefficients show no more than in the baseline that is most alike, or less than what is left unexplained there.
+        coefficients show hardly more than in the baseline that is most alike, or than what is left unexplained.
         """
         there, known = np.quantile(new.signals, PROGRAMME, axis=0), np.array(list(self.ranges.values()))
         allowed = SAME_PROGRAMME * np.min(np.ptp(known, axis=1), axis=0)
@@ -433,18 +433,15 @@ def is_homogeneous(recording: DescribedEvidence, channel: Channel) -> bool:
     return rms(residual - fitted) < rules.HOMOGENEOUS * rms(recording.evidence.noise[channel])
 
 
-def learn_healthy_variation(
-    baselines: Sequence[DescribedEvidence], errors: Mapping[str, float] = {}, joint: RelativeErrors = NO_ERRORS
-) -> HealthyVariation:
+def learn_healthy_variation(baselines: Sequence[DescribedEvidence], errors: RelativeErrors = NO_ERRORS) -> HealthyVariation:
     """Learn the remainder of a healthy rig from recordings compared with the same model.
 
     Args:
         baselines: the recordings.
-        errors: relative standard errors of the coefficients identified from them, by name.
-        joint: errors of all coefficients fitted to them, also of those that they do not identify.
+        errors: of all coefficients fitted to them, also of those that they do not identify.
     """
     # The piston's area is known from its drawing. An error as small as a healthy variation does not matter.
-    errors = {name: max(error, rules.SPREAD) for name, error in errors.items()} | {SCALE: rules.AREA_ERROR}
+    known = {name: max(error, rules.SPREAD) for name, error in errors.of_identified().items()} | {SCALE: rules.AREA_ERROR}
     out = dict[Channel, ChannelRemainder]()
     for c in dict.fromkeys(c for b in baselines for c in b.evidence.channels):
         recordings = [b for b in baselines if c in b.evidence.channels]
@@ -460,8 +457,8 @@ def learn_healthy_variation(
             unit=rms(values.get(FACTORS[c], np.zeros(1))) or 1.0,
             temperature=float(np.mean(values[TEMPERATURE])) if TEMPERATURE in common else None,
             homogeneous=all(is_homogeneous(b, c) for b in recordings),
-            errors=errors,
-            identified=joint.in_terms(tuple(spreads)),
+            errors=known,
+            identified=errors.in_terms(tuple(spreads)),
         )
         windows = {b.evidence.record.name: components.windows(b, c) for b in recordings}
         out[c] = ChannelRemainder(components, components.learn_from(list(windows.values()))).compared(windows)

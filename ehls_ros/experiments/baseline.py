@@ -77,7 +77,7 @@ def diagnose_against(
     named = list(zip(baselines, called, strict=True))
     progress("learning the baselines", 0.5 * LEARNING)
     healthy = [describe(_evidence(recording, identified.rig, what, seed)) for recording, what in named]
-    variation = learn_healthy_variation(healthy, _relative_errors(identified), identified.errors)
+    variation = learn_healthy_variation(healthy, identified.errors)
     found = diagnose(
         new,
         identified.rig,
@@ -111,12 +111,6 @@ def _evidence(recording: Trajectory, rig: Rig, name: str, seed: int) -> Evidence
     if not compared.channels:
         raise BadInput("no stage of the model can be compared with it", name, "a baseline with the new recording's signals")
     return gather(record, rig, compared, seed)
-
-
-def _relative_errors(found: RigIdentification) -> dict[str, float]:
-    """Return the standard error of each identified coefficient, as a fraction of its value."""
-    known = {path: e for path, e in found.estimates.items() if not path.startswith("effects.") and e.value != 0.0}
-    return {_coefficient(path): e.std / abs(e.value) for path, e in known.items()}
 
 
 def _coefficient(path: str) -> str:

@@ -11,6 +11,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.coefficients import RelativeErrors, kept
@@ -185,7 +186,7 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
     if uses(model, SECOND_ORDER[0]):
         missing[BANDWIDTH] = f"the spool follows {SECOND_ORDER[0]}"
 
-    covariance = _block_diagonal([part.covariance for part in parts])
+    covariance = scipy.linalg.block_diag(*(part.covariance for part in parts))
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return RigIdentification(
         rig=model,
@@ -204,7 +205,8 @@ def _identified(records: Sequence[Record], rig: Rig, seed: int, progress: Progre
         wall_s=0.0,
         errors=RelativeErrors(
             tuple(name for part in parts for name in part.errors.names),
-            _block_diagonal([part.errors.covariance for part in parts]),
+            scipy.linalg.block_diag(*(part.errors.covariance for part in parts)),
+            frozenset().union(*(part.errors.identified for part in parts)),
         ),
     )
 
@@ -357,17 +359,18 @@ def _fitted(
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
     kept = [i for i, c in enumerate(whole.chosen) if c.path not in reasons and c.path not in absent]
     estimates = {whole.paths[i]: found.by_path[whole.paths[i]] for i in kept}
-    covariance, errors = found.covariance[np.ix_(kept, kept)], _relative_errors(found, whole.paths)
+    covariance, errors = found.covariance[np.ix_(kept, kept)], _relative_errors(found, whole.paths, estimates)
     return _Fitted(now.rig, estimates, covariance, reasons, absent, converged, errors)
 
 
-def _relative_errors(found: Estimated, paths: Sequence[str]) -> RelativeErrors:
-    """Return the errors of estimates, in the order of ``paths``, but for those of effects and sensors."""
+def _relative_errors(found: Estimated, paths: Sequence[str], identified: Container[str]) -> RelativeErrors:
+    """Return the errors of coefficients, in the order of ``paths``, but for those of effects and sensors."""
     values = {i: found.by_path[path].value for i, path in enumerate(paths) if not path.startswith(("effects.", "sensors."))}
     own = [i for i, value in values.items() if value != 0.0]
     of_one = np.array([1.0 / values[i] for i in own])
-    names = tuple(paths[i].split(".")[1] for i in own)
-    return RelativeErrors(names, found.covariance[np.ix_(own, own)] * np.outer(of_one, of_one))
+    names = {i: paths[i].split(".")[1] for i in own}
+    known = frozenset(name for i, name in names.items() if paths[i] in identified)
+    return RelativeErrors(tuple(names.values()), found.covariance[np.ix_(own, own)] * np.outer(of_one, of_one), known)
 
 
 def _moved(stack: Stack, fitted: RigFit, doubtful: Sequence[Coefficient], channels: Collection[Channel]) -> dict[str, float]:
@@ -404,14 +407,6 @@ def _restored(rig: Rig, given: Rig, paths: Sequence[str]) -> Rig:
     if STATIC in values and COULOMB not in values:
         values[STATIC] *= read(rig, COULOMB) / read(given, COULOMB)
     return placed(rig, with_ratio(rig, values))
-
-
-def _block_diagonal(parts: Sequence[Array]) -> Array:
-    out, at = np.zeros((sum(map(len, parts)),) * 2), 0
-    for part in parts:
-        out[at : at + len(part), at : at + len(part)] = part
-        at += len(part)
-    return out
 
 
 def _channels(stack: Stack, before: Rig, after: Rig) -> dict[Channel, ChannelFit]:
