@@ -11,7 +11,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis.coefficients import RelativeErrors, kept
