@@ -3,14 +3,15 @@
 A residual is modelled as a sum of
 
 * errors of the model's coefficients, whose derivatives are given;
+* a linear function of each signal, as sensors respond to other quantities;
 * a smooth function of each signal, and another of each that is multiplied by the stage's input;
 * one function of all signals together; and
 * a rest that no function of the signals explains.
 
-The functions are Gaussian processes: away from the recordings, their expectation returns to zero and their variance to its
-prior (Kennedy, O'Hagan, Bayesian calibration of computer models, 2001). On the recordings they are orthogonal to the
-coefficients' derivatives (Plumlee, Bayesian calibration of inexact computer models, 2017), so that no function can replace a
-coefficient or vary in its place. Everything here works on plain arrays.
+The smooth functions are Gaussian processes: away from the recordings, their expectation returns to zero and their variance to
+its prior (Kennedy, O'Hagan, Bayesian calibration of computer models, 2001); the linear ones continue. On the recordings, all
+functions are orthogonal to the coefficients' derivatives (Plumlee, Bayesian calibration of inexact computer models, 2017), so
+that no function can replace a coefficient or vary in its place. Everything here works on plain arrays.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.loss import weights
+from ehls_ros.diagnosis.loss import rms, weights
 from ehls_ros.diagnosis.windows import OVERLAP
 from ehls_ros.samples import GAUSS, Mask
 
@@ -41,11 +42,11 @@ SINGLE_CENTRES = 20
 JOINT_CENTRES = 60
 """Most centres of the function of all signals together."""
 
+LARGE = 0.9
+"""Quantile of a signal's magnitude at which its linear function has its standard deviation."""
+
 NEGLIGIBLE = 1e-3
 """Fraction below which the scale of a signal, the size of a function, or the variance that its columns miss does not count."""
-
-COLLINEAR = 0.01
-"""Relative singular value below which derivatives by coefficients count as the same."""
 
 FOLDS = 5
 """Parts in which stretches are held out when the remainder is learnt."""
@@ -131,7 +132,8 @@ class Learnt(NamedTuple):
         recording: recording, or section of a single one, of each window, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
-        sizes: standard deviation of the functions: of each signal, of each times the input, and of all, shape (functions,).
+        sizes: standard deviation of the functions: the smooth and the linear one of each signal, the smooth one of each times the
+            input, and that of all, shape (functions,).
         left: standard deviation of the unexplained rest, on held-out stretches.
         together: number of windows with correlated errors.
         error: relative standard deviation of the error that each coefficient may have, shape (terms,).
@@ -172,16 +174,17 @@ class Learnt(NamedTuple):
         """
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
-        terms = np.vstack([self.windows.terms, terms])
-        features = _features(warped, np.concatenate([self.windows.factor, factor]), terms[:, self.fitted])
+        errors = np.vstack([self.windows.terms, terms]) * self.error
+        replaceable = errors[:, self.fitted] / rms(self.windows.noise)
+        features = _features(warped, np.concatenate([self.windows.factor, factor]), replaceable)
         functions, own = features.sized(self.sizes)
-        columns = np.hstack([terms * self.error, functions])
+        columns = np.hstack([errors, functions])
         mean, inverse = self.common(columns[:known], own[:known])
         varying = np.diag(self.changing[features.group] ** 2)
         covariance = inverse + scipy.linalg.block_diag(self.varying, varying)
         here = columns[known:]
         free = here.copy()
-        free[:, terms.shape[1] :] *= growth[:, None]
+        free[:, errors.shape[1] :] *= growth[:, None]
         return Expected(
             mean=here @ mean,
             directions=free @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
@@ -252,18 +255,19 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
     middle = np.median(data.signals, axis=0)
     largest = np.maximum(np.max(np.abs(data.signals), axis=0), 1e-300)
     scale = np.maximum(np.median(np.abs(data.signals - middle), axis=0), NEGLIGIBLE * largest)
-    count = 2 * data.signals.shape[1] + 1
+    count = 3 * data.signals.shape[1] + 1
     size = float(np.sqrt(np.mean(data.residual**2) / count))
     now = Learnt(
         data, np.ones(len(data.residual)), recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
         np.diag((default_spread / error) ** 2), np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
-    features, y = _features(now.warped(data.signals), data.factor, data.terms[:, fitted]), data.residual
+    errors = data.terms * error
+    features, y = _features(now.warped(data.signals), data.factor, errors[:, fitted] / rms(data.noise)), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
-        columns = np.hstack([data.terms * error, functions])
+        columns = np.hstack([errors, functions])
         variance = now.variance(data, own)
         folds = _by_fold(columns, y, now.weight / variance, fold)
         mean, inverse = _posterior(folds, fitted)
@@ -299,23 +303,29 @@ class _Features(NamedTuple):
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
-def _features(warped: Array, factor: Array, terms: Array) -> _Features:
-    """Return the features of a function of each signal, one of each times the factor, and one of all together.
+def _features(warped: Array, factor: Array, replaceable: Array) -> _Features:
+    """Return the features of the functions of each signal, of each times the factor, and of all together.
 
     Args:
         warped: the signals, shape (n, signals).
         factor: the stage's input, shape (n,).
-        terms: derivatives by the fitted coefficients, to which the features are orthogonal, shape (n, terms).
+        replaceable: possible errors of the fitted coefficients in units of the noise, to which the features are orthogonal,
+            shape (n, terms).
     """
     single = warped.shape[1]
-    made = [_kernel_columns(warped[:, g : g + 1], SINGLE_CENTRES) for g in range(single)]
-    made += [(part * factor[:, None], rest * factor**2) for part, rest in made]
+    smooth = [_kernel_columns(warped[:, g : g + 1], SINGLE_CENTRES) for g in range(single)]
+    plain = np.sinh(warped)
+    linear = plain / np.maximum(np.quantile(np.abs(plain), LARGE, axis=0), 1e-300)
+    made = [*smooth, *((linear[:, g : g + 1], np.zeros(len(linear))) for g in range(single))]
+    made += [(part * factor[:, None], rest * factor**2) for part, rest in smooth]
     made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), JOINT_CENTRES))
     group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
     columns = np.hstack([part for part, _ in made])
-    scaled = terms / np.maximum(np.sqrt(np.mean(terms**2, axis=0)), 1e-300)
-    along = np.linalg.lstsq(scaled, columns, rcond=COLLINEAR)[0]
-    return _Features(columns - scaled @ along, group, np.column_stack([rest for _, rest in made]))
+    # Errors too small to be seen in all windows together cannot take a function's place. Orthogonal to those of a temperature
+    # that hardly varies, functions would follow its noise.
+    along, size, _ = np.linalg.svd(replaceable, full_matrices=False)
+    along = along[:, size > 1.0]
+    return _Features(columns - along @ (along.T @ columns), group, np.column_stack([rest for _, rest in made]))
 
 
 def _kernel_columns(inputs: Array, most: int) -> tuple[Array, Array]:
