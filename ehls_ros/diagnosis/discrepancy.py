@@ -132,8 +132,8 @@ class Learnt(NamedTuple):
         recording: recording, or section of a single one, of each window, shape (n,).
         middle: of each signal, shape (signals,).
         scale: of each signal, shape (signals,).
-        sizes: standard deviation of the functions: the smooth and the linear one of each signal, the smooth one of each times the
-            input, and that of all, shape (functions,).
+        sizes: standard deviation of the functions: the smooth and the linear one of each signal, the smooth one of each times
+            the input, and that of all, shape (functions,).
         left: standard deviation of the unexplained rest, on held-out stretches.
         together: number of windows with correlated errors.
         error: relative standard deviation of the error that each coefficient may have, shape (terms,).

@@ -50,9 +50,27 @@ def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed()
     far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]), np.ones(3), np.ones(3))
     deviation = np.sqrt(np.sum(far.directions**2, axis=1) + far.variance)
     assert far.mean[0] == pytest.approx(curve(0.5), abs=NOISE)
-    assert abs(far.mean[2]) < 0.1 * abs(far.mean[0])
+    assert abs(far.mean[2]) < 2.0 * deviation[2]
     assert deviation[2] > 3.0 * deviation[0]
     assert deviation[2] > 0.05
+
+
+def test_a_linear_function_continues_although_the_oil_hardly_changes_its_temperature():
+    """Orthogonal to a temperature's noise, functions would follow it."""
+    rng = np.random.default_rng(5)
+
+    def recording(low, high, kelvin):
+        data = made(7, low, high)
+        pressure, warmer = data.signals[:, 0], 1e-5 * rng.standard_normal(1200) + kelvin
+        noise = NOISE * rng.standard_normal(1200)
+        return data._replace(residual=0.1 * pressure + noise, terms=np.column_stack([np.ones(1200), warmer]))
+
+    learnt = learn([recording(-0.3, 1.0, 0.0)], np.array([1e-3, 0.0]), np.full(2, rules.LEFT_ERROR), np.ones(2, bool))
+    other = recording(-1.0, 1.0, 3e-5)
+    found, true = expected(learnt, other), 0.1 * other.signals[:, 0]
+    deviation = np.sqrt(np.sum(found.directions**2, axis=1) + found.variance)
+    assert np.all(np.abs(found.mean - true) < 2.0 * deviation)
+    np.testing.assert_allclose(found.mean, true, atol=0.05)
 
 
 def test_errors_of_form_grow_and_those_of_coefficients_do_not():
