@@ -174,17 +174,17 @@ class Learnt(NamedTuple):
         """
         known = len(self.windows.residual)
         warped = self.warped(np.vstack([self.windows.signals, signals]))
-        errors = np.vstack([self.windows.terms, terms]) * self.error
-        replaceable = errors[:, self.fitted] / rms(self.windows.noise)
-        features = _features(warped, np.concatenate([self.windows.factor, factor]), replaceable)
+        terms = np.vstack([self.windows.terms, terms])
+        seen = terms[:, self.fitted] / rms(self.windows.noise)
+        features = _features(warped, np.concatenate([self.windows.factor, factor]), seen)
         functions, own = features.sized(self.sizes)
-        columns = np.hstack([errors, functions])
+        columns = np.hstack([terms * self.error, functions])
         mean, inverse = self.common(columns[:known], own[:known])
         varying = np.diag(self.changing[features.group] ** 2)
         covariance = inverse + scipy.linalg.block_diag(self.varying, varying)
         here = columns[known:]
         free = here.copy()
-        free[:, errors.shape[1] :] *= growth[:, None]
+        free[:, terms.shape[1] :] *= growth[:, None]
         return Expected(
             mean=here @ mean,
             directions=free @ np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance))),
@@ -261,13 +261,12 @@ def learn(recordings: Sequence[Windows], default_spread: Array, error: Array, fi
         data, np.ones(len(data.residual)), recording, middle, scale, np.full(count, size), size, OVERLAP, error, fitted,
         np.diag((default_spread / error) ** 2), np.full(count, rules.FUNCTION_SPREAD), (count * size**2, count * size**2),
     )  # fmt: skip
-    errors = data.terms * error
-    features, y = _features(now.warped(data.signals), data.factor, errors[:, fitted] / rms(data.noise)), data.residual
+    features, y = _features(now.warped(data.signals), data.factor, data.terms[:, fitted] / rms(data.noise)), data.residual
     fold = _folds(len(y))
     members = np.bincount(features.group, minlength=count)
     for _ in range(LEARNING_STEPS):
         functions, own = features.sized(now.sizes)
-        columns = np.hstack([errors, functions])
+        columns = np.hstack([data.terms * error, functions])
         variance = now.variance(data, own)
         folds = _by_fold(columns, y, now.weight / variance, fold)
         mean, inverse = _posterior(folds, fitted)
@@ -303,13 +302,13 @@ class _Features(NamedTuple):
         return self.columns * sizes[self.group], self.own @ sizes**2
 
 
-def _features(warped: Array, factor: Array, replaceable: Array) -> _Features:
+def _features(warped: Array, factor: Array, terms: Array) -> _Features:
     """Return the features of the functions of each signal, of each times the factor, and of all together.
 
     Args:
         warped: the signals, shape (n, signals).
         factor: the stage's input, shape (n,).
-        replaceable: possible errors of the fitted coefficients in units of the noise, to which the features are orthogonal,
+        terms: derivatives by the fitted coefficients in units of the noise, to which the features are orthogonal,
             shape (n, terms).
     """
     single = warped.shape[1]
@@ -321,10 +320,10 @@ def _features(warped: Array, factor: Array, replaceable: Array) -> _Features:
     made.append(_kernel_columns(warped / np.sqrt(max(single, 1)), JOINT_CENTRES))
     group = np.repeat(np.arange(len(made)), [part.shape[1] for part, _ in made])
     columns = np.hstack([part for part, _ in made])
-    # Errors too small to be seen in all windows together cannot take a function's place. Orthogonal to those of a temperature
+    # A change too small to be seen in all windows together cannot take a function's place. Orthogonal to that of a temperature
     # that hardly varies, functions would follow its noise.
-    along, size, _ = np.linalg.svd(replaceable, full_matrices=False)
-    along = along[:, size > 1.0]
+    along, size, _ = np.linalg.svd(terms, full_matrices=False)
+    along = along[:, rules.LEFT_ERROR * size > 1.0]
     return _Features(columns - along @ (along.T @ columns), group, np.column_stack([rest for _, rest in made]))
 
 

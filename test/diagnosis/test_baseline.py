@@ -68,11 +68,13 @@ def test_a_wrong_rig_file_is_no_change(run, healthy, wrong_rig, rig):
 
 
 @pytest.mark.long
-def test_what_changed_is_named_with_its_size(run, healthy, wrong_rig):
-    found = against(run({"coulomb_shift": {"offset": -200.0}}, "rich", 3), [healthy], wrong_rig)
+def test_what_changed_is_named_with_its_size(run, wrong_rig):
+    # In 8 s, some recordings have a single sharp turn, whose noise moves the size by 7 %.
+    seconds = 2.0 * SECONDS
+    found = against(run({"coulomb_shift": {"offset": -200.0}}, "rich", 3, seconds), [run({}, "rich", 1, seconds)], wrong_rig)
     assert (found.verdict, found.causes[0].name) == ("effect", "coulomb_shift")
     offset = found.causes[0].parameters["offset"]
-    assert offset.value == pytest.approx(-200.0, abs=12.0)
+    assert offset.value == pytest.approx(-200.0, abs=6.0)
     assert abs(offset.value + 200.0) < 4.0 * offset.std
     assert [use.name for use in found.extended.effects] == ["coulomb_shift"]
 
