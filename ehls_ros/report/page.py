@@ -196,7 +196,7 @@ def signed(value: float, digits: int = 3) -> str:
 
 def listed(parts: Sequence[str]) -> str:
     """Join words by commas and a final "and"."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return "".join(parts) if len(parts) < 2 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def verdict(text: str, *, good: bool | None) -> str:

@@ -13,6 +13,7 @@ from scipy.integrate import trapezoid
 from ehls_ros.diagnosis.free_run import Followed, FreeRun
 from ehls_ros.diagnosis.reading import Power, Reading, Shape
 from ehls_ros.diagnosis.result import (
+    BaselineSummary,
     Cause,
     ChannelGain,
     ChannelTrace,
@@ -368,6 +369,14 @@ def test_agreement_names_the_sizes_that_would_have_shown_and_the_numbers_correct
     assert "shows from" not in answer(replace(quiet, sensitivities=()))[0]
     named, _ = answer(replace(make_found(), corrected=quiet.corrected))
     assert "rig file (95 %)" not in named
+
+
+def test_without_a_change_a_stage_that_cannot_be_evaluated_is_named_if_there_is_one():
+    healthy = BaselineSummary(("old.csv",), {}, {}, (), (), {}, {})
+    partly = replace(consistent(), baseline=healthy)
+    assert "; sensor agreement cannot be evaluated." in answer(partly)[0]
+    entirely = replace(partly, stages={**partly.stages, "sensors": QUIET})
+    assert "natural spread. " in answer(entirely)[0]
 
 
 def test_an_unknown_error_in_a_second_stage_and_the_short_time_that_holds_it_are_stated():
