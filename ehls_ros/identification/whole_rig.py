@@ -42,7 +42,13 @@ from ehls_ros.identification.rig_coefficients import (
     without,
 )
 from ehls_ros.identification.rig_fit import RigFit, Stack, fit
-from ehls_ros.identification.rig_identifiability import Estimated, estimated, unidentifiable
+from ehls_ros.identification.rig_identifiability import (
+    FORM_WINDOWS,
+    FORM_WINDOWS_OF_ABSENT,
+    Estimated,
+    estimated,
+    unidentifiable,
+)
 from ehls_ros.identification.rig_noise import corrected, gain, rounding, with_added_noise
 from ehls_ros.identification.rig_result import ChannelFit, RigIdentification
 from ehls_ros.identification.rig_stages import (
@@ -316,7 +322,7 @@ def _fitted(
         return fit(stack, now.rig, [*doubtful, *fitted], channels, iterations=0) if doubtful else now
 
     for _ in range(ROUNDS):
-        found = estimated(stack, with_doubtful(), len(doubtful), spread, form=True)
+        found = estimated(stack, with_doubtful(), len(doubtful), spread, form_windows=FORM_WINDOWS_OF_ABSENT)
         none = {
             c.path: c.neutral
             for c in fitted
@@ -353,7 +359,7 @@ def _fitted(
         p: math.hypot(spread.get(p, 0.0), moved.get(p, 0.0), error, rounded[p]) for p, error in free_of_noise.spread.items()
     }
     response = gain(whole, noisy, len(doubtful)) if doubtful else free_of_noise.gain
-    found = estimated(stack, whole, len(doubtful), {**spread, **further}, response, form=True)
+    found = estimated(stack, whole, len(doubtful), {**spread, **further}, response, form_windows=FORM_WINDOWS)
     vague = [c.path for c in fitted if c.path in found.vague]
     because = f" as long as {', '.join(reasons)} are not" if reasons else ""
     reasons |= dict.fromkeys(vague, f"its standard error is large{because}; the value that fits is kept")
