@@ -1,4 +1,4 @@
-"""The residual model of a healthy rig, learnt on plain arrays: a remainder, its spread, and nothing in unseen states."""
+"""The residual model of a healthy rig, learnt on plain arrays: a remainder, its spread, and its uncertainty elsewhere."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_a_smooth_remainder_is_learnt():
     assert learnt.left < 0.5 * NOISE
 
 
-def test_where_no_baseline_has_been_nothing_is_expected_and_everything_allowed():
+def test_where_no_baseline_has_been_as_much_is_allowed_as_is_expected():
     learnt = learn([made(1)], SPREAD, ERROR, FITTED)
     far = learnt.expected(np.zeros((3, 1)), np.array([[0.5], [40.0], [400.0]]), np.ones(3), np.ones(3))
     deviation = np.sqrt(np.sum(far.directions**2, axis=1) + far.variance)
