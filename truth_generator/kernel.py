@@ -51,7 +51,8 @@ FIELDS: dict[str, float] = {
     "dead_smooth": 0.0,
     # flow
     "droop": 0.0, "droop_square": 0.0, "droop_time": 0.1, "air": 0.0, "air_exponent": 1.3, "air_square": 0.0,
-    "air_dissolved_at": 0.0, "air_half": 0.0, "turbulent": 0.0, "turbulent_exponent": 0.5,
+    "air_dissolved_at": 0.0, "air_half": 0.0, "turbulent": 0.0, "turbulent_exponent": 0.5, "turning_leakage": 0.0,
+    "turning_pressure": 1.0e6,
     "external": 0.0, "external_side": 1.0,
     "laminar": 0.0, "relief": 0.0, "relief_crack": 0.0, "relief_corner": 1.0, "rate_limit": 0.0, "hose": 0.0,
     "hose_time": 1.0, "seal": 0.0, "seal_speed": 1.0, "line": 0.0,
@@ -59,7 +60,8 @@ FIELDS: dict[str, float] = {
     "asymmetry": 0.0, "viscous_asymmetry": 0.0, "per_pressure": 0.0, "per_position": 0.0, "position_scale": 0.3,
     "level_side": 0.0, "level_forward": 0.0, "viscous_forward": 0.0, "viscous_side": 0.0, "viscous_side_speed": 1.0,
     "per_chamber": 0.0, "pressure_rise": 0.0, "pressure_scale": 1.0e6,
-    "pressure_power": 0.0, "pressure_exponent": 1.0, "stribeck_lorentz": 0.0,
+    "pressure_power": 0.0, "pressure_exponent": 1.0, "stribeck_lorentz": 0.0, "stribeck_tanh": 0.0, "level_turning": 0.0,
+    "level_turning_speed": 1.0, "pressure_log": 0.0, "pressure_log_at": 1.0e6,
     "curve_level_per_pressure": 0.0, "curve_viscous_per_pressure": 0.0, "position_bow": 0.0,
     "per_kelvin": 0.0, "linear_per_kelvin": 0.0, "vogel": 0.0, "vogel_at": 0.0, "level_per_kelvin": 0.0, "level_now": 1.0,
     "warming": 0.0, "warming_time": 30.0, "temperature": 313.15,
@@ -184,14 +186,18 @@ def own_friction(v, remembered, x, p):
 
 
 @nb.njit(cache=True)
-def sliding_level(v, side, x, p_load, p):
-    """Return s, the steady-state friction of sliding in one direction without the viscous part, N."""
-    bump = math.exp(-((abs(v) / p.vs) ** p.exponent)) if p.stribeck_lorentz == 0.0 else 1.0 / (1.0 + (v / p.vs) ** 2)
-    s = p.fc + (p.fs - p.fc) * bump
-    if p.per_position != 0.0:
-        s *= 1.0 + p.per_position * p.position_scale * math.tanh(x / p.position_scale)
-    if p.position_bow != 0.0:
-        s *= 1.0 + p.position_bow * x * x
+def stribeck_bump(v, p):
+    """Return the fraction of the rise from Coulomb to static friction that is left at a speed."""
+    if p.stribeck_lorentz != 0.0:
+        return 1.0 / (1.0 + (v / p.vs) ** 2)
+    if p.stribeck_tanh != 0.0:
+        return 1.0 - math.tanh(abs(v) / p.vs)
+    return math.exp(-((abs(v) / p.vs) ** p.exponent))
+
+
+@nb.njit(cache=True)
+def pressed_level(s, p_load, p):
+    """Return the level s of friction under a load pressure, N."""
     if p.per_pressure != 0.0:
         s += p.per_pressure * (math.sqrt(p_load * p_load + 4.0e10) - 2.0e5)
     if p.curve_level_per_pressure != 0.0:
@@ -200,13 +206,29 @@ def sliding_level(v, side, x, p_load, p):
         s += p.pressure_rise * (1.0 - math.exp(-abs(p_load) / p.pressure_scale))
     if p.pressure_power != 0.0:
         s += p.pressure_power * (1.0e-6 * math.sqrt(p_load * p_load + 1.0e8)) ** p.pressure_exponent
+    if p.pressure_log != 0.0:
+        s += p.pressure_log * math.log(1.0 + abs(p_load) / p.pressure_log_at)
     if p.per_chamber != 0.0:
         s += p.per_chamber * p_load
+    return s
+
+
+@nb.njit(cache=True)
+def sliding_level(v, side, x, p_load, p):
+    """Return s, the steady-state friction of sliding in one direction without the viscous part, N."""
+    s = p.fc + (p.fs - p.fc) * stribeck_bump(v, p)
+    if p.per_position != 0.0:
+        s *= 1.0 + p.per_position * p.position_scale * math.tanh(x / p.position_scale)
+    if p.position_bow != 0.0:
+        s *= 1.0 + p.position_bow * x * x
+    s = pressed_level(s, p_load, p)
     if p.patch != 0.0:
         z = (x - p.patch_at) / p.patch_width
         s += p.patch * math.exp(-z * z)
     if p.asymmetry != 0.0:
         s += side * p.asymmetry
+    if p.level_turning != 0.0:
+        s += p.level_turning * math.tanh(v / p.level_turning_speed)
     if p.level_side != 0.0:
         s *= 1.0 + side * p.level_side
     if p.level_forward != 0.0 and side > 0.0:
@@ -332,6 +354,8 @@ def load_flow_rate(t, y, dy, ps, p):
     q -= p.area * v + p.leakage * p_load
     if p.turbulent != 0.0:  # laminar below about 0.2 MPa
         q -= p.turbulent * p_load / (p_load * p_load + 4.0e10) ** (0.5 - 0.5 * p.turbulent_exponent)
+    if p.turning_leakage != 0.0:
+        q -= p.turning_leakage * p_load / math.sqrt(abs(p_load) + p.turning_pressure)
     if p.external != 0.0:  # one rod seal leaks to the tank; half of that leakage appears in the load flow
         q -= 0.5 * p.external * p.external_side * max(0.5 * (ps + p.external_side * p_load), 0.0)
     if p.relief != 0.0:

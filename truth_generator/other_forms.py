@@ -83,6 +83,12 @@ def draw_fraction(rng: Rng, rig: dict[str, Any]) -> Sizes:
     return {"fraction": log_uniform(rng, 8e-3, 0.12)}
 
 
+another(
+    "turbulent_leakage", "turning",
+    lambda rng, rig: {"coefficient": log_uniform(rng, 1e-9, 2e-8), "pressure": log_uniform(rng, 0.2e6, 2e6)},
+    put(turning_leakage="coefficient", turning_pressure="pressure"),
+    "c pL/sqrt(|pL| + p1), p1 = 0.2..2 MPa: laminar below, turbulent above",
+)  # fmt: skip
 another("entrained_air", "isothermal", draw_fraction, air(1.0), "0.8..12 % of free air, compressed isothermally")
 another(
     "entrained_air", "Nykänen", draw_fraction, air(1.4, 1.0),
@@ -107,6 +113,14 @@ another(
     "coulomb_asymmetry", "one side",
     lambda rng, rig: {"offset": signed(rng, 0.06, 0.6) * rig["friction"]["coulomb_force"]}, put(level_forward="offset"),
     "s(v) + a for v > 0 only, a = +-6..60 % of Fc",
+)  # fmt: skip
+another(
+    "coulomb_asymmetry", "smooth",
+    lambda rng, rig: {
+        "half_difference": signed(rng, 0.03, 0.3) * rig["friction"]["coulomb_force"], "speed": log_uniform(rng, 3e-3, 2e-2),
+    },
+    put(level_turning="half_difference", level_turning_speed="speed"),
+    "s(v) + a tanh(v/v0), a = +-3..30 % of Fc, v0 = 3..20 mm/s",
 )  # fmt: skip
 another(
     "viscous_asymmetry", "one side",
@@ -142,6 +156,11 @@ another(
     put(pressure_power="rise", pressure_exponent="exponent"), "s(v) + r (|pL|/MPa)^n, r = 20..150 N, n = 0.4..0.8",
 )  # fmt: skip
 another(
+    "pressure_dependent_friction", "logarithm",
+    lambda rng, rig: {"rise": log_uniform(rng, 30.0, 200.0), "scale": log_uniform(rng, 0.1e6, 1e6)},
+    put(pressure_log="rise", pressure_log_at="scale"), "s(v) + r ln(1 + |pL|/p1), r = 30..200 N, p1 = 0.1..1 MPa",
+)  # fmt: skip
+another(
     "pressure_dependent_friction", "one chamber", lambda rng, rig: {"coefficient": signed(rng, 1e-5, 1.5e-4)},
     put(per_chamber="coefficient"), "s(v) changes by 10..150 N per MPa of pL: the rod seal of one chamber",
 )  # fmt: skip
@@ -159,6 +178,17 @@ def lorentzian(p, sizes):
 another(
     "stribeck_shift", "Lorentzian", LISTED["stribeck_shift"].draw, lorentzian,
     "Fc + (Fs - Fc)/(1 + (v/Vs)^2), Vs x1.2..8 and Fs + 0.2..3 of Fs - Fc",
+)  # fmt: skip
+
+
+def hyperbolic(p, sizes):
+    stribeck_shift(p, sizes)
+    p["stribeck_tanh"] = 1.0
+
+
+another(
+    "stribeck_shift", "tanh", LISTED["stribeck_shift"].draw, hyperbolic,
+    "Fc + (Fs - Fc)(1 - tanh(|v|/Vs)) as in Makkar et al. (2005), Vs x1.2..8 and Fs + 0.2..3 of Fs - Fc",
 )  # fmt: skip
 
 

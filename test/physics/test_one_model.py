@@ -174,7 +174,7 @@ def extrapolated(part, rig, measured, given=_nothing):
 def settings(name, rig, plain):
     """Yield an effect's parameters off their neutral values: each form at its first start, or a little within the range."""
     effect = EFFECTS.load(name)
-    signals = {"position_m": plain[:, XP], "spool_m": plain[:, S], "valve_command_m": plain[:, S]}
+    signals = {"position_m": plain[:, XP], "velocity_m_s": plain[:, VP], "spool_m": plain[:, S], "valve_command_m": plain[:, S]}
     for form in effect.forms(rig):
         values = dict(form.fixed)
         for declared in declarations(effect.Parameters):

@@ -278,7 +278,7 @@ def test_an_effect_shifts_the_coefficients_that_a_model_has(effect, model, rig_d
     assert rig.with_effects((EffectUse(effect, member.Parameters()),)).effective().friction == rig.friction
     for form in member.forms(rig):
         for key in form.free:
-            changed = EffectUse(effect, member.Parameters(**{key: 1.5}))
+            changed = EffectUse(effect, member.Parameters(**{**form.fixed, key: 1.5}))
             assert rig.with_effects((changed,)).effective().friction != rig.friction
 
 

@@ -12,7 +12,9 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "friction"
-EQUATION = "s(v) -> s(v) + offset sgn(v), at least 1 N; unchanged at standstill"
+EQUATION = (
+    "s(v) -> s(v) + offset + forward along +x, s(v) - offset + backward along -x, at least 1 N; the mean of both at standstill"
+)
 SOURCE = "Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, ... machines with friction, Automatica 30, 1994"
 WORDS = Words(
     "a Coulomb friction that differs between the directions",
@@ -23,17 +25,21 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Half the difference between the directions."""
+    """Half the difference between the directions, or a change in one of them."""
 
     offset: Annotated[float, quantity("N", "added in motion along +x, subtracted along -x", minimum=-1e5, maximum=1e5)] = 0.0
+    forward: Annotated[float, quantity("N", "added in motion along +x only", minimum=-1e5, maximum=1e5)] = 0.0
+    backward: Annotated[float, quantity("N", "added in motion along -x only", minimum=-1e5, maximum=1e5)] = 0.0
 
 
 @kernel
 def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
-    """Raise the level in one direction and lower it in the other."""
-    return shifted_level(value, p.offset * sign(y[V]))
+    """Raise the level in one direction and lower it in the other, or change it in one of them."""
+    direction = sign(y[V])
+    difference = p.offset + 0.5 * (p.forward - p.backward)
+    return shifted_level(value, 0.5 * (p.forward + p.backward) + difference * direction)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The offset."""
-    return (Form({"offset": ()}),)
+    """Opposite changes in both directions, or a change in one of them."""
+    return Form({"offset": ()}), Form({"forward": ()}), Form({"backward": ()})

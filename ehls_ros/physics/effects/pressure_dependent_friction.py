@@ -14,7 +14,8 @@ from ehls_ros.schema import quantity
 GROUP: Group = "friction"
 EQUATION = (
     "s(v) -> s(v) (1 + growth |pL|) + slope h + chamber_slope pL, at least 1 N;  Ff -> Ff + viscous_part growth |pL| v;  "
-    "h = √(pL² + onset²) - onset, |pL| far beyond the onset, with a saturation h -> saturation (1 - exp(-h/saturation))"
+    "h = √(pL² + onset²) - onset, |pL| far beyond the onset, with a saturation h -> saturation (1 - exp(-h/saturation)), "
+    "with an exponent h -> (h/1 MPa)^exponent 1 MPa"
 )
 SOURCE = (
     "Bonchis, Corke, Rye, A pressure-based, velocity independent, friction model for asymmetric hydraulic cylinders, ICRA 1999"
@@ -27,6 +28,10 @@ WORDS = Words(
 )
 
 
+UNIT_PRESSURE = 1e6
+"""Pressure at which the level grows by the same for any exponent [Pa]."""
+
+
 class Parameters(NamedTuple):
     """Friction per pressure; at zero load pressure the rig file's friction applies."""
 
@@ -35,6 +40,7 @@ class Parameters(NamedTuple):
     saturation: Annotated[
         float, quantity("Pa", "load pressure over which the seals settle on their faces; 0: any", minimum=0.0, maximum=1e8)
     ] = 0.0
+    exponent: Annotated[float, quantity("1", "exponent of the growth over 1 MPa", minimum=0.2, maximum=3.0)] = 1.0
     chamber_slope: Annotated[
         float,
         quantity("N/Pa", "Stribeck level per load pressure, signed: a seal of one chamber", minimum=-0.05, maximum=0.05),
@@ -51,6 +57,8 @@ def friction_level(value: float, t: float, y: Array, w: Array, z: Array, p: Para
     pressure = math.hypot(y[PL], p.onset) - p.onset
     if p.saturation > 0.0:
         pressure = -p.saturation * math.expm1(-pressure / p.saturation)
+    if p.exponent != 1.0:
+        pressure = UNIT_PRESSURE * (pressure / UNIT_PRESSURE) ** p.exponent
     return shifted_level(value, p.slope * pressure + p.chamber_slope * y[PL] + p.growth * abs(y[PL]) * value)
 
 
@@ -61,11 +69,12 @@ def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, p
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """The level in proportion, with an onset or a saturation, by the pressure of one chamber; or the whole friction curve."""
+    """The level in proportion, with an onset, a saturation or an exponent, by one chamber's pressure; or the whole curve."""
     return (
         Form({"slope": ()}),
         Form({"slope": (), "onset": (5e4, 2e5, 5e5)}),
         Form({"slope": (), "saturation": (5e5, 2e6)}),
+        Form({"slope": (), "exponent": (0.6, 1.5)}),
         Form({"chamber_slope": ()}),
         Form({"growth": ()}, {"viscous_part": rig.friction.viscous_coefficient}),
     )
