@@ -241,13 +241,16 @@ def claims(found: Diagnosis, since: str = RIG_FILE) -> str:
 
 def _claim(found: Diagnosis, cause: Cause, since: str) -> str:
     """Return a clause for one cause, or for the candidates if the data do not decide between them."""
-    named = {rival.name: sized(rival.name, rival.parameters, since) for rival in cause.rivals if _is_open(cause, rival)}
-    named |= {name: "" for name in cause.equivalent_to if name not in named}
-    rivals = [_with(words(name).noun, text) for name, text in list(named.items())[: CANDIDATES - 1]]
     noun, size, where = noun_of(cause), sized(cause.name, cause.parameters, since), STAGE_NAMES[CHANNELS[cause.channel]]
-    if rivals:
-        candidates = ", or ".join([_with(noun, size), *rivals])
-        return f"the error in the {where} has one of these causes, {UNDECIDED}: {candidates}"
+    rivals = [rival for rival in cause.rivals if _is_open(cause, rival)]
+    untried = [name for name in cause.equivalent_to if name not in {rival.name for rival in rivals}]
+    candidates = [(0.0, _with(noun, size))]
+    candidates += [(r.behind, _with(words(r.name).noun, sized(r.name, r.parameters, since))) for r in rivals]
+    candidates += [(math.inf, words(name).noun) for name in untried]
+    if len(candidates) > 1:
+        # A rival that explains more, and was not named for another reason, is more probable nevertheless.
+        texts = [text for _, text in sorted(candidates, key=lambda candidate: candidate[0])]
+        return f"the error in the {where} has one of these causes, {UNDECIDED}: {', or '.join(texts[:CANDIDATES])}"
     how_sure = "" if cause.probability >= CERTAIN_PROBABILITY else f", with a probability of {likely(cause.probability)}"
     if cause.probability < LIKELY:
         return f"the cause of the error in the {where} is uncertain: nearest is {_with(noun, size)}{how_sure}"

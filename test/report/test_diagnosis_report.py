@@ -261,6 +261,8 @@ def test_an_unlikely_cause_is_one_of_its_candidates():
         " (1.18 ± 0.03 cm³/(s bar) higher than in the rig file), or "
     )
     assert "hysteresis" not in sentence
+    better, _ = verdict_sentence(make_found(causes=(leak._replace(probability=1e-4, rivals=(RIVAL._replace(behind=-12.0),)),)))
+    assert f"undecided by these data: {EFFECTS.load(RIVAL.name).WORDS.noun}" in better
     alone, _ = verdict_sentence(make_found(causes=(leak._replace(rivals=()),)))
     assert "is uncertain: nearest is the leakage past the piston (1.18 ± 0.03" in alone
     assert "with a probability of 27 %" in alone
