@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
 from ehls_ros.arrays import in_python
+from ehls_ros.duals.interpreted import value_of
 from ehls_ros.errors import BadInput, one_of
 from ehls_ros.families import Family
 from ehls_ros.physics.cylinder import CYLINDERS
@@ -365,8 +366,9 @@ def _derived_sensors(rig: Rig) -> dict[str, Sensor]:
     described = [rig.sensors.get(signal) for signal in CHAMBER_SENSED]
     if not rig.cylinder.law.CHAMBERS or None in described:
         return {}
-    p = rig.cylinder.parameters
-    shares = p.area_a / rig.plant.piston_area, p.area_b / rig.plant.piston_area
+    # Areas may be duals where derivatives by them are wanted; noise has none.
+    p, area = rig.cylinder.parameters, value_of(rig.plant.piston_area)
+    shares = value_of(p.area_a) / area, value_of(p.area_b) / area
     noise = (share * sensor.reading_std for share, sensor in zip(shares, described, strict=True) if sensor is not None)
     return {"load_pressure": Sensor(noise_std=math.hypot(*noise))}
 

@@ -43,6 +43,6 @@ def test_a_force_out_of_step_is_recognised_and_hardly_costs_anything(size: float
     learnt = simulate(case, (Use("learning", Parameters(period=PERIOD)),), 0)
     rms = [np.sqrt(np.mean(run.error[FIRST:] ** 2, axis=1)) for run in (learnt, bare)]
     assert np.all(rms[0] < 1.2 * rms[1])
-    assert np.abs(learnt.error[FIRST:]).max() < 25.0
+    assert np.abs(learnt.error[FIRST:]).max() < 1.2 * np.abs(bare.error[FIRST:]).max()
     assert "not in step with the load cycle" in str(learnt.report["learning.state"])
     assert float(learnt.report["learning.force_change"]) > MAX_CHANGE

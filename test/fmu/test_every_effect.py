@@ -36,6 +36,7 @@ CHANGED = {
     "position_dependent_friction": {"slope": 100.0, "sine": 20.0},
     "pressure_dependent_friction": {"slope": 1e-5, "onset": 1e5},
     "temperature_dependent_friction": {"coulomb_slope": -2.0, "thinning_part": 500.0, "thinning_rate": 0.02},
+    "stribeck_shift": {"tail_force": 50.0, "tail_velocity": 0.02},
     "viscous_asymmetry": {"asymmetry": 100.0},
     "end_stop": {"upper": 0.01, "lower": -0.01},
     "flexible_mode": {"mass": 0.3, "frequency": 40.0},

@@ -42,7 +42,7 @@ def test_the_model_of_the_page_runs(model, make_rig):
     for effect in ("coulomb_shift", "viscous_shift", "presliding_stiffness_shift", "stribeck_shift"):
         member = EFFECTS.load(effect)
         for form in member.forms(rig):
-            use = EffectUse(effect, member.Parameters(**dict.fromkeys(form.free, 1.5)))
+            use = EffectUse(effect, member.Parameters(**form.fixed, **dict.fromkeys(form.free, 1.5)))
             assert rig.with_effects((use,)).effective().friction != rig.friction
 
     simulator, estimator = Simulator(rig, PERIOD), FrictionEstimator(default_observer(rig), rig, PERIOD)
