@@ -110,6 +110,8 @@ WORKED = [
     ("flexible_mode", {"mass": 20.0, "taken": 0.5}, "force", 0.0, {}, -98.1),
     ("periodic_disturbance", {"sine": 30.0, "cosine": 7.0, "frequency": 2.0}, "force", 1.0, {"t": 0.125}, 31.0),
     ("periodic_disturbance", {"sine": 30.0, "cosine": 7.0, "frequency": 2.0}, "force", 1.0, {"t": 0.25}, -6.0),
+    ("periodic_disturbance", {"second_sine": 5.0, "second_cosine": 3.0, "frequency": 2.0}, "force", 1.0, {"t": 0.0625}, 6.0),
+    ("periodic_disturbance", {"second_sine": 5.0, "second_cosine": 3.0, "frequency": 2.0}, "force", 1.0, {"t": 0.125}, -2.0),
     ("constant_load", {"force": -40.0}, "force", 1.0, {}, -39.0),
     (
         "coupling_stiffness",

@@ -1,4 +1,4 @@
-"""A sinusoidal force on the piston: pump ripple, a machine running nearby."""
+"""A periodic force on the piston: pump ripple, a machine running nearby."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -10,7 +10,7 @@ from ehls_ros.physics.rig import Rig
 from ehls_ros.schema import quantity
 
 GROUP: Group = "environment"
-EQUATION = "F = sine sin(2π frequency t) + cosine cos(2π frequency t)"
+EQUATION = "F = sine sin(a) + cosine cos(a) + second_sine sin(2a) + second_cosine cos(2a);  a = 2π frequency t"
 SOURCE = "Bodson, Sacks, Khosla, Harmonic generation in adaptive feedforward cancellation schemes, IEEE TAC 39, 1994"
 WORDS = Words(
     "a periodic force",
@@ -21,10 +21,12 @@ WORDS = Words(
 
 
 class Parameters(NamedTuple):
-    """Amplitudes and frequency of the sine wave; its phase refers to the start of the experiment."""
+    """Amplitudes of the fundamental and its second harmonic, and frequency; phases refer to the start of the experiment."""
 
     sine: Annotated[float, quantity("N", "sine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
     cosine: Annotated[float, quantity("N", "cosine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
+    second_sine: Annotated[float, quantity("N", "sine part of the second harmonic along +x", minimum=-1e6, maximum=1e6)] = 0.0
+    second_cosine: Annotated[float, quantity("N", "its cosine part along +x", minimum=-1e6, maximum=1e6)] = 0.0
     frequency: Annotated[float, quantity("Hz", "frequency", minimum=1e-3, maximum=1e3)] = 1.0
 
 
@@ -32,9 +34,14 @@ class Parameters(NamedTuple):
 def force(value: float, t: float, y: Array, w: Array, z: Array, p: Parameters, plant: Plant) -> float:
     """Add the force."""
     angle = 2.0 * math.pi * p.frequency * t
-    return value + p.sine * math.sin(angle) + p.cosine * math.cos(angle)
+    s, c = math.sin(angle), math.cos(angle)
+    return value + p.sine * s + p.cosine * c + 2.0 * p.second_sine * s * c + p.second_cosine * (c * c - s * s)
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """A sine wave, starting from the residual's two strongest spectral lines."""
-    return (Form({"sine": (), "cosine": (), "frequency": (Peak(1), Peak(2))}),)
+    """A sine wave, starting from the residual's two strongest spectral lines; and one with its second harmonic."""
+    lines = (Peak(1), Peak(2))
+    return (
+        Form({"sine": (), "cosine": (), "frequency": lines}),
+        Form({"sine": (), "cosine": (), "second_sine": (), "second_cosine": (), "frequency": lines}),
+    )
