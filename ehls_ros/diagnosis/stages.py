@@ -448,10 +448,12 @@ class Comparison:
 
     def friction(self, rig: EffectiveRig) -> Any:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
+        balance, key = self._balance(rig), (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model)
         # The other forces set the initial state of the elements, and the force a static model balances during stick.
-        others = (_beam(rig), self.relevant_parts(rig, "force"))
-        key = (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model, others)
-        return self._keep("friction", key, lambda: self._run_friction(rig, self._balance(rig)))
+        rigid = math.isinf(rig.friction_law.stiffness(rig.friction))
+        differentiated = not isinstance(balance, np.ndarray)
+        others = (_beam(rig), self.relevant_parts(rig, "force")) if rigid or differentiated else balance.tobytes()
+        return self._keep("friction", (key, self._moves(rig), others), lambda: self._run_friction(rig, balance))
 
     def friction_range(self, rig: EffectiveRig) -> Array:
         """Return the range of the friction force for all its values at the start of each stretch, shape (n,) [N]."""
@@ -709,12 +711,14 @@ class Comparison:
 
     def _keep(self, what: str, key: Any, compute: Any) -> Any:
         kept = self._kept.setdefault(what, {})
-        if key not in kept:
+        if key in kept:
+            value = kept.pop(key)
+        else:
             value = compute()
             while len(kept) >= KEPT_RUNS:
-                kept.pop(next(iter(kept)), None)
-            kept[key] = value
-        return kept[key]
+                kept.pop(next(iter(kept)))
+        kept[key] = value
+        return value
 
 
 def longest_step(use: EffectUse) -> float:

@@ -25,7 +25,7 @@ The other functions are compiled:
 * ``begin(balance, s, p, F)`` writes to F the forces that hold a balance [N], limited to the level s.
 
 Their arguments: ``v`` velocity [m/s]; ``s`` level(v, p) with the effects on it [N]; ``applied`` the sum of all other forces
-on the mass [N]; ``p`` the rig's ``Parameters``.
+on the mass [N], which only a contact that is rigid at rest may use; ``p`` the rig's ``Parameters``.
 
 A file may have ``derived(others)``, which returns those of its keys that follow from keys of other models; they apply if the
 rig file omits them.
