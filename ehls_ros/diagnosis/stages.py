@@ -450,7 +450,7 @@ class Comparison:
         """Return the friction force along the recorded motion, shape (n, 1) [N]."""
         balance, key = self._balance(rig), (self.relevant_parts(rig, "friction"), rig.friction, rig.friction_model)
         # The other forces set the initial state of the elements, and the force a static model balances during stick.
-        rigid = math.isinf(rig.friction_law.stiffness(rig.friction))
+        rigid = math.isinf(rig.friction_law.stiffness(values_of(rig.friction)))
         differentiated = not isinstance(balance, np.ndarray)
         others = (_beam(rig), self.relevant_parts(rig, "force")) if rigid or differentiated else balance.tobytes()
         return self._keep("friction", (key, self._moves(rig), others), lambda: self._run_friction(rig, balance))
