@@ -1,13 +1,15 @@
 """Dependence of a remaining residual on the recorded signals."""
 
 from collections.abc import Mapping
+from functools import partial
+from itertools import accumulate
 
 import numpy as np
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
 from ehls_ros.diagnosis.loss import CLIP
-from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY
+from ehls_ros.diagnosis.record import COMMAND, LOAD, POSITION, PRESSURE, SPOOL, SUPPLY, TEMPERATURE, VELOCITY, Record
 from ehls_ros.diagnosis.stages import Comparison
 from ehls_ros.physics.rig import Rig
 from ehls_ros.samples import Mask
@@ -51,6 +53,29 @@ def signals_along(comparison: Comparison, rig: Rig) -> dict[str, Array]:
         signals["load_pressure_rate_pa_s"] = comparison.local_fit(record.signals[PRESSURE], 1)
     signals["time_s"] = record.time
     return signals
+
+
+def kept_by_play(record: Record, values: Array, width: float) -> Array:
+    """Return the distance of a signal from the output of a play that follows it, shape (samples,): its recent direction.
+
+    Args:
+        record: the recording.
+        values: the signal, shape (samples,).
+        width: of the play, in the signal's unit.
+    """
+    return values - record.by_stretch(partial(play_of, width=width), values)
+
+
+def play_of(values: Array, width: float) -> Array:
+    """Return the output of a play that follows a signal, from zero, shape (n,).
+
+    Args:
+        values: the signal, shape (n,).
+        width: of the play, in the signal's unit.
+    """
+    half = 0.5 * width
+    states = accumulate(values.tolist(), lambda state, value: min(max(state, value - half), value + half), initial=0.0)
+    return np.array(list(states)[1:])
 
 
 def explained_fraction(signal: Array, e: Array, even: Mask) -> float:

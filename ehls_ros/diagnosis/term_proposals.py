@@ -7,7 +7,6 @@ worthwhile part of the rest.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from ehls_ros.arrays import Array
 from ehls_ros.diagnosis import rules
-from ehls_ros.diagnosis.dependence import explained_by, explained_shares, powers, signals_along
+from ehls_ros.diagnosis.dependence import explained_by, explained_shares, kept_by_play, powers, signals_along
 from ehls_ros.diagnosis.evidence import Evidence
 from ehls_ros.diagnosis.loss import power
 from ehls_ros.diagnosis.record import COMMAND, FORCE, LOAD, POSITION, PRESSURE, SPOOL, TEMPERATURE, VELOCITY
@@ -350,7 +349,7 @@ def _argument(asked: Asked, p: Proposal) -> Array:
     values, record = asked.signals[p.argument], asked.evidence.record
     if p.lag > 0.0:
         return values - record.by_stretch(lambda part: lag_of(part, p.lag, record.period), values)
-    return values - record.by_stretch(partial(play_of, width=p.play), values) if p.play > 0.0 else values
+    return kept_by_play(record, values, p.play) if p.play > 0.0 else values
 
 
 def _columns(asked: Asked, p: Proposal, values: Array, knots: int) -> Array:
@@ -530,15 +529,3 @@ def lag_of(values: Array, time_constant: float, period: float) -> Array:
     kept = math.exp(-period / time_constant)
     states = accumulate(values.tolist(), lambda state, value: kept * state + (1.0 - kept) * value, initial=0.0)
     return np.array(list(states)[:-1])
-
-
-def play_of(values: Array, width: float) -> Array:
-    """Return the output of a play that follows a signal, from zero, shape (n,).
-
-    Args:
-        values: the signal, shape (n,).
-        width: of the play, in the signal's unit.
-    """
-    half = 0.5 * width
-    states = accumulate(values.tolist(), lambda state, value: min(max(state, value - half), value + half), initial=0.0)
-    return np.array(list(states)[1:])

@@ -19,7 +19,7 @@ from ehls_ros.experiments.spec import load_rig
 from ehls_ros.physics.effects import EFFECTS
 from ehls_ros.physics.rig import EffectUse, rig_from_mapping
 from ehls_ros.trajectory import Preparation, Trajectory
-from truth_generator import record
+from truth_generator import FormErrors, record
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = ("position_m", "load_pressure_pa", "disturbance_force_n")
@@ -93,6 +93,19 @@ def test_a_stage_that_the_baselines_do_not_cover_says_so(recorded, rig):
     )
     assert judged.channels == ()
     assert dict(judged.setup.why_not) == {"force_balance": OUTSIDE, "flow": NOT_LEARNT}
+
+
+def test_a_load_cells_hysteresis_is_expected_where_motion_and_force_turn_apart(recorded, rig):
+    """Without a disturbance, the force turns with the motion: a hysteresis then looks like an error over the velocity."""
+    cell = FormErrors({"cell_play_width": 200.0, "cell_play_mean": 0.98, "cell_play": -0.3})
+    columns = (*COLUMNS, "force_n")
+    known = evidence(recorded({}, "random", seed=3, duration=30.0, columns=columns, forms=cell, disturbed=False), rig)
+    variation = learn_healthy_variation([describe(known)])
+    new = evidence(recorded({}, "rich", seed=4, duration=SECONDS, columns=columns, forms=cell), rig)
+    expected = variation.expected(describe(new))["cell"]
+    residual = new.base.values["cell"] * new.floor["cell"] / variation.channels["cell"].terms.size
+    near = np.isfinite(expected.variance)
+    assert np.std((residual - expected.mean)[near]) < 0.4 * np.std(residual[near])
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from plain_evidence import MASS, assessed, evidence_of
 from ehls_ros.arrays import in_python
 from ehls_ros.diagnosis import empirical
 from ehls_ros.diagnosis.carried_over import carried_over
+from ehls_ros.diagnosis.dependence import play_of
 from ehls_ros.diagnosis.diagnose import diagnose
 from ehls_ros.diagnosis.empirical import asked_about, candidate_of, formula_of
 from ehls_ros.diagnosis.evidence import gather
@@ -24,7 +25,6 @@ from ehls_ros.diagnosis.term_proposals import (
     concentrated,
     hats,
     lag_of,
-    play_of,
     proposals,
     supported,
     waves_along,
