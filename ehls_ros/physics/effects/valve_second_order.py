@@ -44,6 +44,6 @@ def derivatives(u: float, t: float, y: Array, w: Array, z: Array, p: Parameters,
 
 
 def forms(rig: Rig) -> tuple[Form, ...]:
-    """Natural frequency, starting from one, two and four times the bandwidth, and damping."""
-    frequencies = tuple(factor * rig.plant.valve_bandwidth for factor in (1.0, 2.0, 4.0))
-    return (Form({"natural_frequency": frequencies, "damping": (0.7, 0.7, 0.7)}),)
+    """Natural frequency, starting from half to four times the bandwidth, and damping."""
+    frequencies = tuple(factor * rig.plant.valve_bandwidth for factor in (0.5, 1.0, 2.0, 4.0))
+    return (Form({"natural_frequency": frequencies, "damping": (0.7, 0.7, 0.7, 0.7)}),)
