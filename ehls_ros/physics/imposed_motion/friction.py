@@ -124,6 +124,16 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
     break_away = break_away_with(friction)
 
     @kernel_no_refcount
+    def start(v: float, applied: float, level: float, balance: float, p: Any, forces: Array, mode: Array) -> None:
+        # Friction may still be falling from the break-away force.
+        begin(balance, break_away(level, v, p), p, forces)
+        if v != 0.0:
+            # An infinite applied force releases a static model.
+            change(v, math.copysign(math.inf, v), level, forces, mode, p)
+        else:
+            change(v, applied, level, forces, mode, p)
+
+    @kernel_no_refcount
     def run_samples(a: ModelRun, inputs: FrictionInputs, measured: Scratch, own: Scratch, out: Array) -> None:
         y, w, slope, forces, mode = measured.y, measured.w, measured.slope, own.y, own.mode
         last = a.motion.time.size - 1
@@ -135,12 +145,8 @@ def build(friction: Any, elements: int, states: int, chains: Chains) -> Body:
                 z[:] = 0.0
                 mode[:] = 0.0
                 level, applied = balance(inputs.extra[k], t, y, z, coefficients(a, w))
-                # Friction may still be falling from the break-away force.
-                begin(inputs.balance[stretch], break_away(level, y[V], a.friction), a.friction, forces)
+                start(y[V], applied, level, inputs.balance[stretch], a.friction, forces, mode)
                 stretch += 1
-                if y[V] != 0.0:
-                    # In motion: an infinite applied force releases a static model.
-                    change(y[V], math.copysign(math.inf, y[V]), level, forces, mode, a.friction)
             write_slopes(k, a, slope)
             if y[V] == 0.0 and slope[V] == 0.0:
                 # At rest: a tiny reversed velocity makes the slipping elements stick.
