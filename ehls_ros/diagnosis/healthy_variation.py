@@ -268,7 +268,9 @@ class ChannelRemainder(NamedTuple):
         """Return how far windows are from the middle of the baselines' range, in half ranges, shape (n,)."""
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
-        away: Array = np.max(np.abs(new.signals - middle) / np.maximum(half, 1e-300), axis=1, initial=0.0)
+        # A direction is no operating point.
+        points = np.array([name not in PLAYS for name in self.terms.signals], dtype=np.bool_)
+        away: Array = np.max((np.abs(new.signals - middle) / np.maximum(half, 1e-300))[:, points], axis=1, initial=0.0)
         return away
 
     def expected(self, new: Windows) -> Expected:
