@@ -27,7 +27,7 @@ from ehls_ros.trajectory import PRESSURE_A, PRESSURE_B
 DIRECTION, ACCELERATION, PRESSURE_RATE = "direction", "acceleration_m_s2", "load_pressure_rate_pa_s"
 SPOOL_RATE = "spool_rate_m_s"
 
-PLAYS: Mapping[str, float] = {f"load_pressure_in_play_{i}": width for i, width in enumerate((0.01, 0.03, 0.1))}
+CELL_PLAYS: Mapping[str, float] = {f"load_pressure_in_play_{i}": width for i, width in enumerate((0.01, 0.03, 0.1))}
 """Widths of plays, as fractions of the supply pressure, by the signal that each keeps of the load pressure: the direction in
 which a load cell with hysteresis was last loaded.
 
@@ -42,7 +42,7 @@ SIGNALS: Mapping[Channel, tuple[str, ...]] = {
     "volume_b": (SPOOL, PRESSURE_B, PRESSURE_RATE, POSITION, SUPPLY),
     "supply": (SPOOL, PRESSURE),
     "force": (VELOCITY, DIRECTION, POSITION, ACCELERATION, LOAD),
-    "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION, *PLAYS),
+    "cell": (PRESSURE, PRESSURE_RATE, VELOCITY, POSITION, *CELL_PLAYS),
     "velocity": (VELOCITY, PRESSURE, POSITION),
 }
 """Signals on which the rig's remainder may depend, by channel; unrecorded ones are left out.
@@ -252,7 +252,7 @@ class ChannelRemainder(NamedTuple):
         there, known = np.quantile(new.signals, PROGRAMME, axis=0), np.array(list(self.ranges.values()))
         allowed = SAME_PROGRAMME * np.min(np.ptp(known, axis=1), axis=0)
         within = (there >= np.min(known, axis=0) - allowed) & (there <= np.max(known, axis=0) + allowed)
-        follows = np.array([name not in (SUPPLY, *PLAYS) for name in self.terms.signals])
+        follows = np.array([name not in (SUPPLY, *CELL_PLAYS) for name in self.terms.signals])
         return bool(np.all(within[:, follows])) and self._excites_as_known(new)
 
     def _excites_as_known(self, new: Windows) -> bool:
@@ -269,7 +269,7 @@ class ChannelRemainder(NamedTuple):
         low, high = np.quantile(self.learnt.windows.signals, (rules.SEEN, 1.0 - rules.SEEN), axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (1.0 + rules.MARGIN) * (high - low)
         # A direction is no operating point.
-        points = np.array([name not in PLAYS for name in self.terms.signals], dtype=np.bool_)
+        points = np.array([name not in CELL_PLAYS for name in self.terms.signals], dtype=np.bool_)
         away: Array = np.max((np.abs(new.signals - middle) / np.maximum(half, 1e-300))[:, points], axis=1, initial=0.0)
         return away
 
@@ -487,7 +487,7 @@ def signals_of(evidence: Evidence) -> dict[Channel, dict[str, Array]]:
         along[SPOOL_RATE] = np.gradient(comparison.simulated_spool(evidence.rig.effective()), evidence.record.period)
     if "cell" in evidence.channels:
         pressure, supply = along[PRESSURE], evidence.rig.plant.supply_pressure
-        along |= {name: kept_by_play(evidence.record, pressure, part * supply) for name, part in PLAYS.items()}
+        along |= {name: kept_by_play(evidence.record, pressure, part * supply) for name, part in CELL_PLAYS.items()}
     # A measured load responds to the friction: at controlled pressure it would determine the residual.
     usable = [name for name in along if name not in evidence.record.measured]
     return {
