@@ -200,6 +200,25 @@ def test_it_begins_with_the_balance_it_can_hold(name, balance, friction_of):
 
 
 @pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("mode", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("velocity", [-1e-3, 0.0, 1e-3])
+def test_only_a_contact_that_is_rigid_at_rest_uses_the_applied_force(name, mode, velocity, friction_of):
+    """The diagnosis keeps a run of any other model although the applied force has changed."""
+    model, friction = FRICTION_MODELS.load(name), friction_of(name)
+
+    def told(applied):
+        forces, modes = np.full(model.states(friction), 300.0), np.full(model.states(friction), mode)
+        state = velocity, applied, 600.0, forces, modes, friction
+        values = [in_python(getattr(model, part))(*state) for part in ("force", "event", "switch")]
+        return [*values, *modes]
+
+    if math.isfinite(model.stiffness(friction)):
+        assert told(-2000.0) == told(0.0) == told(2000.0)
+    elif mode == 0.0 and velocity == 0.0:
+        assert told(-2000.0) != told(2000.0)
+
+
+@pytest.mark.parametrize("name", MODELS)
 def test_mirrored_rig_runs_mirrored(name, make_rig):
     rig = make_rig(plant={"gravity": 0.0}, friction={"model": name})
     there, back = Simulator(rig, position=0.01), Simulator(rig, position=-0.01)
